@@ -65,15 +65,16 @@ class Replay:
     spec: TaskSpec
     rollout: Rollout
 
-    def segments(self, n_steps: int = 50, *, seed: int = 0) -> Segments:
+    def segments(self, n_steps: int | None = None, *, seed: int = 0) -> Segments:
         """Cut into segments that do not overlap, in random order.
 
         Args:
-            n_steps: T. An episode that terminates before T steps becomes a shorter segment.
+            n_steps: T; that of the task by default. The end of an episode that terminates becomes a shorter segment.
 
         Raises:
             InvalidConfig: if `n_steps` is out of range.
         """
+        n_steps = self.spec.segment_steps if n_steps is None else n_steps
         longest = len(self.rollout.rewards)
         if not 1 <= n_steps <= longest:
             raise InvalidConfig(f"n_steps is {n_steps}; it must be from 1 to the replay's {longest}.", "n_steps")

@@ -63,6 +63,7 @@ def task_response(name: str) -> schemas.TaskSchema:
         step_seconds=spec.step_seconds,
         frame_rate_hz=frame_rate_hz(name),
         instructions=spec.instructions,
+        segment_steps=spec.segment_steps,
         policy_settings=dict(spec.policy_settings),
     )
 

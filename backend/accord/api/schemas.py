@@ -295,6 +295,7 @@ class TaskSchema(Schema):
     step_seconds: float = Field(description="Simulated seconds per step.")
     frame_rate_hz: float = Field(description="Frames of a clip per second, of which each shows one step.")
     instructions: str = Field(description="What the team should achieve.")
+    segment_steps: int = Field(description="Steps of a segment of a new experiment, unless it sets others.")
     policy_settings: dict[str, Any] = Field(
         description="Settings with which policies learn the task, where they differ from the algorithm's defaults. A "
         "new experiment gets them unless it sets others."

@@ -13,6 +13,7 @@ from accord.store.database import Database
 from accord.store.migrate import migrate
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 
 
 def import_experiment(
@@ -30,7 +31,7 @@ def import_experiment(
     segment_steps: Annotated[
         int,
         typer.Option(min=2, help="Steps of a segment, for formats without segments: minari, d4rl, offline."),
-    ] = importing.DEFAULT_SEGMENT_STEPS,
+    ] = DEFAULT_SEGMENT_STEPS,
     home: Home = None,
     as_json: Json = False,
 ) -> None:

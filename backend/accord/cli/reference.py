@@ -24,6 +24,7 @@ from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
 from mapt.tasks import task_names, task_spec
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 from mapt.training.run_file import RunFile
 
 DEFAULT_FOLDER = Path("docs")
@@ -48,8 +49,10 @@ def service_settings() -> str:
 
 
 def experiment_settings() -> str:
-    """Settings of an experiment."""
-    return _settings(ExperimentConfig)
+    """Settings of an experiment, with the defaults of each task."""
+    lengths = {name: task_spec(name).segment_steps for name in task_names()}
+    of_tasks = {name: {"segment_steps": each} for name, each in lengths.items() if each != DEFAULT_SEGMENT_STEPS}
+    return f"{_settings(ExperimentConfig)}\n\nDefaults that differ by task: {_differences(_by_settings(of_tasks))}."
 
 
 def run_file_settings() -> str:

@@ -12,6 +12,8 @@ from accord.domain.errors import InvalidExperiment
 from mapt.errors import InvalidConfig
 from mapt.policies.config import PolicyConfig
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting, within
+from mapt.tasks import task_names, task_spec
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 from mapt.training.schedule import LabelSchedule, LabelScheduleName, Pacing
 
 RewardSource = Literal["preferences", "true"]
@@ -47,13 +49,14 @@ class ExperimentConfig(Settings):
     segment_steps: Annotated[
         int,
         setting(
-            "Steps of a segment, T; at most the length of the task's episodes. An episode that ends earlier gives a "
-            "shorter segment, if it has at least a fifth of T.",
+            "Steps of a segment, T; at most the length of the task's episodes. The end of an episode that terminates "
+            "gives a shorter segment, if it has at least a fifth of T. A new experiment gets its task's, which GET "
+            "/tasks lists, unless it sets another.",
             ge=2,
             le=10_000,
             unit="steps",
         ),
-    ] = 50
+    ] = DEFAULT_SEGMENT_STEPS
     label_budget: Annotated[int, setting("Labels to collect in total.", ge=0, le=10**7, unit="labels")] = 500
     initial_labels: Annotated[
         int,
@@ -259,12 +262,15 @@ class ExperimentConfig(Settings):
 
 
 def read_config(settings: Mapping[str, object]) -> ExperimentConfig:
-    """An experiment's settings as a client sends them.
+    """An experiment's settings as a client sends them. Segments without a length get that of their task.
 
     Raises:
         InvalidExperiment: as `ExperimentConfig`.
     """
+    task = settings.get("task")
+    # Whether the task exists is checked later.
+    of_task = {"segment_steps": task_spec(task).segment_steps} if task in task_names() else {}
     try:
-        return ExperimentConfig.from_dict(settings)
+        return ExperimentConfig.from_dict({**of_task, **settings})
     except InvalidConfig as error:
         raise InvalidExperiment(str(error), error.field) from error

@@ -30,13 +30,12 @@ from mapt.preferences.formats.tables import PreferenceTables
 from mapt.preferences.selection import UniformSelector
 from mapt.preferences.storage_layout import SegmentLayout
 from mapt.tasks import TaskSpec, task_spec
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 
 #: Iteration and steps of the policy that produced imported segments: they are older than all of the new experiment's.
 BEFORE_THE_RUN = -1
 #: tables: an export of Accord. See `ForeignFormat` for the others.
 ImportFormat = Literal["tables", ForeignFormat]
-#: Steps of the segments that episodes are cut into, unless the caller says otherwise.
-DEFAULT_SEGMENT_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True)

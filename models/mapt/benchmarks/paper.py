@@ -79,8 +79,8 @@ class PaperPlan:
     test_pairs: int
     #: of reward models and policies
     device: str
-    #: T
-    segment_steps: int
+    #: T; None for that of each task
+    segment_steps: int | None
     #: segments of each dataset
     segments: int
     #: environment steps of the training that a dataset records
@@ -91,6 +91,10 @@ class PaperPlan:
     imitation: tuple[str, ...] = ()
     #: gradient steps of those that train on data alone
     imitation_steps: int = 10_000
+
+    def segment_steps_of(self, task: str) -> int:
+        """T of one of the tasks."""
+        return self.segment_steps or task_spec(task).segment_steps
 
     def policy_config(self, task: str, policy: str, seed: int) -> PolicyConfig:
         """The settings of one of the policies on one of the tasks.
@@ -205,7 +209,7 @@ class PaperFolder:
         plan = self.plan
         recordings = {
             self._dataset_folder(task, seed): Recording(
-                task, plan.dataset_steps, plan.segment_steps, plan.segments, seed
+                task, plan.dataset_steps, plan.segment_steps_of(task), plan.segments, seed
             )
             for seed in plan.seeds
             for task in plan.tasks
@@ -282,7 +286,7 @@ class PaperFolder:
             )
             for job in models
             if (cell := job.settings) and (folder := job.model)
-            for learned in (LearnedRewardSettings(str(folder.resolve()), self.plan.segment_steps),)
+            for learned in (LearnedRewardSettings(str(folder.resolve()), self.plan.segment_steps_of(cell.task)),)
             for policy in self.plan.policies
         ]
 
@@ -292,7 +296,7 @@ class PaperFolder:
             return {}
         return {
             self._expert_folder(job.task, job.policy, job.seed): PolicyRecording(
-                str(job.run.folder.resolve()), self.plan.segment_steps, EXPERT_SEGMENTS, job.seed
+                str(job.run.folder.resolve()), self.plan.segment_steps_of(job.task), EXPERT_SEGMENTS, job.seed
             )
             for job in self.baseline_jobs()
             if job.reward == TRUE and read_result(job) is not None

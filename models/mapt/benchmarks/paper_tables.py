@@ -230,10 +230,11 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
         figures: title and path, relative to the page, of figures to show.
     """
     plan = results.plan
+    steps = " and ".join(f"{steps:,}" for steps in sorted({plan.segment_steps_of(task) for task in plan.tasks}))
     parts = [
         "# The paper's experiments",
         f"Reward models of the preset `{plan.preset}` train on pairs of a recorded dataset, labelled by the teacher "
-        f"`oracle`: {plan.segments:,} segments of {plan.segment_steps} steps, recorded while a policy trains for "
+        f"`oracle`: {plan.segments:,} segments of {steps} steps, recorded while a policy trains for "
         f"{plan.dataset_steps:,} steps. {_pairs(plan)} A policy then trains from scratch for {plan.steps:,} steps on "
         f"each reward model, which does not change. Seeds {', '.join(map(str, plan.seeds))}; each has its own dataset, "
         "reward models and policies.",

@@ -64,7 +64,9 @@ from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES, PresetName
 from mapt.rewards.model import RewardModel
 from mapt.settings import NamedSettings
-from mapt.tasks import task_spec
+from mapt.tasks import task_names, task_spec
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
+from mapt.training.run_folder import load_policy
 
 _LOG_EVERY = 0.25
 #: exit status of a command whose datasets could not be recorded
@@ -78,7 +80,7 @@ def dataset(
     task: Task = "HalfCheetah-6x1",
     seeds: Seeds = "0",
     steps: Steps = 800_000,
-    segment_steps: SegmentSteps = 50,
+    segment_steps: SegmentSteps = None,
     segments: Segments = 6000,
     policy: Annotated[
         Path | None,
@@ -98,6 +100,8 @@ def dataset(
     OUTPUT/seed-0.
     """
     pool, output = job_pool(output, workers, ray, ray_gpus)
+    played = task if policy is None else load_policy(policy, "cpu").task
+    segment_steps = segment_steps or task_spec(played).segment_steps
     recordings: list[Recording | PolicyRecording] = [
         Recording(task, steps, segment_steps, segments, seed)
         if policy is None
@@ -170,7 +174,7 @@ def table(
         ),
     ] = False,
     preset: Preset = RewardPreset.SMALL,
-    segment_steps: SegmentSteps = 50,
+    segment_steps: SegmentSteps = None,
     steps: Steps = 800_000,
     segments: Segments = 6000,
     test_pairs: TestPairs = 4000,
@@ -222,6 +226,7 @@ def table(
     if ray is None:
         resolve_device(device)
     pool, output = job_pool(output, workers, ray, ray_gpus)
+    segment_steps = segment_steps or _segment_steps_of(task)
     root = pool.path(datasets) if datasets else _default_datasets(output)
     wanted = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds}
     absent = {folder: recording for folder, recording in wanted.items() if not folder.exists()}
@@ -250,6 +255,11 @@ def table(
     if summary.missing and not dry_run:
         print_error(f"{summary.missing} results are missing. Rerun the command to compute them.")
         raise typer.Exit(1)
+
+
+def _segment_steps_of(task: str) -> int:
+    """T of a task; the usual one if nothing but its datasets is known."""
+    return task_spec(task).segment_steps if task in task_names() else DEFAULT_SEGMENT_STEPS
 
 
 def check_models(models: Sequence[str], preset: PresetName, device: str, task: str, segment_steps: int) -> None:

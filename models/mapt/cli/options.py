@@ -46,7 +46,7 @@ PolicySettings = Annotated[
 ]
 Preset = Annotated[RewardPreset, typer.Option(help="Size of the reward models and length of their training.")]
 Seeds = Annotated[str, typer.Option(help="Comma-separated random seeds.")]
-SegmentSteps = Annotated[int, typer.Option(min=1, help="Steps of a segment, T.")]
+SegmentSteps = Annotated[int | None, typer.Option(min=1, help="Steps of a segment, T.  [default: the task's]")]
 Segments = Annotated[int, typer.Option(min=10, help="Segments to record per seed, spread over the training.")]
 Steps = Annotated[int, typer.Option(min=1, help="Environment steps to train each policy for.")]
 Task = Annotated[str, typer.Option(help="Task name; `mapt tasks` lists them.")]

@@ -80,7 +80,7 @@ def paper(
     steps: Annotated[int, typer.Option(min=1, help="Environment steps to train each policy for.")] = 1_000_000,
     imitation_steps: Annotated[int, typer.Option(min=1, help="Gradient steps of OMAR and O-MAPL.")] = 10_000,
     preset: Preset = RewardPreset.SMALL,
-    segment_steps: SegmentSteps = 50,
+    segment_steps: SegmentSteps = None,
     segments: Segments = 6000,
     dataset_steps: Annotated[
         int, typer.Option(min=1, help="Environment steps of the training that a dataset records.")
@@ -154,7 +154,7 @@ def paper(
 def _check(plan: PaperPlan) -> None:
     """Raise UnknownTask or InvalidConfig for an invalid plan before any work."""
     for task in plan.tasks:
-        check_models(plan.models, plan.preset, plan.device, task, plan.segment_steps)
+        check_models(plan.models, plan.preset, plan.device, task, plan.segment_steps_of(task))
         for policy in plan.policies:
             plan.policy_config(task, policy, 0)
     for name in plan.imitation:

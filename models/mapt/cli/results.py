@@ -13,6 +13,7 @@ from mapt.cli.output import print_json, print_line, print_paths
 from mapt.io import atomic_write
 from mapt.preferences.teachers import make_teacher
 from mapt.settings import NamedSettings
+from mapt.tasks import task_spec
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import EPISODES, evaluate_policy
 from mapt.training.results import RunResult, find_runs, grouped, markdown, marl_eval_data, returns_table
@@ -36,7 +37,7 @@ def evaluate(
         str | None,
         typer.Option(help="Also score segments by this scripted teacher; NAME:KEY=VALUE sets a parameter."),
     ] = None,
-    segment_steps: SegmentSteps = 50,
+    segment_steps: SegmentSteps = None,
     as_json: Json = False,
 ) -> None:
     """Evaluate a trained policy by the true reward, and by a scripted teacher.
@@ -45,6 +46,7 @@ def evaluate(
     """
     saved = load_policy(run, device, agent_obsk)
     evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, episodes=episodes, seed=seed)
+    segment_steps = segment_steps or task_spec(saved.task).segment_steps
     about = {"task": saved.task, "algorithm": saved.algorithm, "steps": saved.steps}
     scores = _scores(saved, teacher, segment_steps, episodes, seed) if teacher else np.zeros(0)
     if as_json:

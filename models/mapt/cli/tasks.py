@@ -26,6 +26,7 @@ def tasks(*, agent_obsk: AgentObsk = DEFAULT_AGENT_OBSK, as_json: Json = False) 
                 "horizon_steps": spec.horizon_steps,
                 "state_dim": spec.state_dim,
                 "step_seconds": spec.step_seconds,
+                "segment_steps": spec.segment_steps,
                 "policy_settings": dict(spec.policy_settings),
             }
             for spec in specs

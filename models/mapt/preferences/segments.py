@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from mapt.errors import InvalidAction, NotOneHot, ShapeError
 from mapt.preferences.dataset import SegmentArrays
 
-# An episode that terminates within one segment becomes a segment only if it is at least this fraction of one: shorter
-# clips show too little to compare.
-MIN_EPISODE_FRACTION = 0.2
+# The end of an episode that terminates becomes a shorter segment only if it has at least this fraction of the steps:
+# shorter clips show too little to compare.
+MIN_END_FRACTION = 0.2
 
 
 class StepRange(NamedTuple):
@@ -50,8 +50,9 @@ def cut_rollout(
     """Cut a rollout into segments that neither overlap nor cross the end of an episode, in random order.
 
     Each episode gets as many segments as fit. The first starts at a random offset, so that over many rollouts every
-    phase of an episode is equally likely to start a segment. An episode that terminates before one segment fits (a
-    walker that falls) becomes a shorter segment, if it has at least `MIN_EPISODE_FRACTION` of the steps.
+    phase of an episode is equally likely to start a segment. What is left of an episode that terminates (a walker that
+    falls) becomes a shorter segment, if it has at least `MIN_END_FRACTION` of the steps: only beside shorter segments
+    do labels say what a further step is worth.
 
     Args:
         episode_start, terminated: bool (L, E), true at the first step of an episode, and where an episode terminated.
@@ -60,12 +61,12 @@ def cut_rollout(
     segments: list[StepRange] = []
     for episode in episode_ranges(episode_start):
         env, first, end = episode
-        count, slack = divmod(episode.n_steps, segment_steps)
-        offset = first + int(rng.integers(slack + 1))
-        starts = (offset + segment_steps * index for index in range(count))
-        segments.extend(StepRange(env, start, start + segment_steps) for start in starts)
-        if not count and terminated[end - 1, env] and episode.n_steps >= MIN_EPISODE_FRACTION * segment_steps:
-            segments.append(episode)
+        count, left = divmod(episode.n_steps, segment_steps)
+        first += int(rng.integers(left + 1)) if count else 0
+        rest = first + segment_steps * count
+        segments.extend(StepRange(env, start, start + segment_steps) for start in range(first, rest, segment_steps))
+        if terminated[end - 1, env] and end - rest >= MIN_END_FRACTION * segment_steps:
+            segments.append(StepRange(env, rest, end))
     return [segments[index] for index in rng.permutation(len(segments))]
 
 

@@ -15,7 +15,7 @@ from mapt.errors import InvalidAction, InvalidConfig, MissingFeatures
 from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot, never_terminated
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS, Task, TaskSpec, TaskStep
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 #: Name of the single agent that observes the state and drives every joint.
@@ -239,7 +239,9 @@ class MujocoDefinition:
     horizon_steps: int = 1000
     #: Actions should lie in [-action_limit, action_limit].
     action_limit: float = 1.0
-    #: See `TaskSpec.policy_settings`.
+    #: See `TaskSpec`.
+    segment_steps: int = DEFAULT_SEGMENT_STEPS
+    #: See `TaskSpec`.
     policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
@@ -261,6 +263,7 @@ class MujocoDefinition:
             action_limit=self.action_limit,
             agent_action_dims=dims,
             can_terminate=self.mdp.terminated is not never_terminated,
+            segment_steps=self.segment_steps,
             policy_settings=self.policy_settings,
         )
 

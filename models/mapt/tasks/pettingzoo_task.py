@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.errors import InvalidConfig, NotRenderable, UnusableEnvironment
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, check_actions
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS, Task, TaskSpec, TaskStep, WithoutModel, check_actions
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 _SEEDS = 2**31
@@ -224,7 +224,9 @@ class PettingZooDefinition(WithoutModel):
     instructions: str
     #: `#RRGGBB` of each agent in the images of the environment, for the page's legend, no two the same; empty for none.
     agent_colours: tuple[str, ...] = ()
-    #: See `TaskSpec.policy_settings`.
+    #: See `TaskSpec`.
+    segment_steps: int = DEFAULT_SEGMENT_STEPS
+    #: See `TaskSpec`.
     policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
@@ -287,5 +289,6 @@ class PettingZooDefinition(WithoutModel):
             "agent_action_dims": () if discrete[0] else sizes,
             "masks_actions": masks,
             "agent_colours": colours,
+            "segment_steps": self.segment_steps,
             "policy_settings": self.policy_settings,
         }

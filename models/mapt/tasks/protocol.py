@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from mapt.errors import InvalidAction, NoSimulator
 
+#: T of segments where neither a task nor a researcher says another
+DEFAULT_SEGMENT_STEPS = 50
+
 
 @dataclass(frozen=True, slots=True)
 class TaskSpec:
@@ -56,6 +59,9 @@ class TaskSpec:
     #: `#RRGGBB` of each agent in the images of a task that renders itself; empty if they are not known. In clips of
     #: other tasks, agents have the colours of `mapt.rendering.appearance.agent_colour`.
     agent_colours: tuple[str, ...] = ()
+    #: T of new experiments and datasets. Long enough to judge, and much shorter than an episode, or a label says little
+    #: about single steps.
+    segment_steps: int = DEFAULT_SEGMENT_STEPS
     #: Settings with which policies learn this task, where they differ from the algorithm's defaults: `PolicyConfig`.
     policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 

@@ -25,6 +25,7 @@ from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit
 from mapt.rewards.trainer import train_reward_model
 from mapt.tasks import TaskSpec, task_spec
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward
@@ -44,7 +45,7 @@ class RewardSettings:
     """Settings of the reward model, of its training, and of the reward that the policy receives."""
 
     #: T, steps of a segment
-    segment_steps: int = 50
+    segment_steps: int = DEFAULT_SEGMENT_STEPS
     #: a name of `RewardConfig.named`
     model: str = "MAPT"
     preset: PresetName = "small"
@@ -152,7 +153,7 @@ class PreferenceLoop:
         learner: a new learner; its task's own reward is read by the teacher only.
         teacher: labels the queries.
         schedule: the label budget, and when labels and reward versions are due.
-        reward: the reward model.
+        reward: the reward model; by default one for segments of the task's length.
         selector: how pairs are chosen from the second round on; the first round is uniform.
         control_share: share of the pairs that stays uniform under a selector that needs scores or features.
         on_iteration: called after each iteration with its metrics.
@@ -172,7 +173,7 @@ class PreferenceLoop:
         on_iteration: Callable[[dict[str, float]], None] = lambda metrics: None,
         output: Path | None = None,
     ) -> None:
-        self.reward = reward or RewardSettings()
+        self.reward = reward or RewardSettings(segment_steps=learner.task.spec.segment_steps)
         self.schedule, self._teacher = schedule, teacher
         self._selector: SelectorName = selector
         self._control_share, self._on_iteration = control_share, on_iteration

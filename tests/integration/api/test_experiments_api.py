@@ -48,6 +48,14 @@ def test_the_network_of_the_paper_is_a_choice_of_an_experiment(api: ApiServer, p
     assert response.json()["config"].items() >= {"reward_model": "MAPT-paper", "reward_preset": preset}.items()
 
 
+def test_a_new_experiment_has_segments_as_long_as_suit_its_task(api: ApiServer) -> None:
+    tasks = {task["name"]: task for task in api.researcher.get("/api/v1/tasks").json()}
+    assert (tasks["3m"]["segment_steps"], tasks["HalfCheetah-6x1"]["segment_steps"]) == (10, 50)
+    for name, given, steps in (("own", {}, 10), ("set", {"segment_steps": 20}, 20)):
+        response = api.researcher.post("/api/v1/experiments", json={"name": name, "task": "3m"} | given)
+        assert response.json()["config"]["segment_steps"] == steps
+
+
 def test_a_new_experiment_keeps_the_policy_settings_of_its_task(api: ApiServer) -> None:
     tasks = {task["name"]: task for task in api.researcher.get("/api/v1/tasks").json()}
     own = tasks["Hopper-3x1"]["policy_settings"]

@@ -26,16 +26,21 @@ def test_segments_neither_overlap_nor_cross_episodes(episode_start, segment_step
     assert len(places) == sum(episode.n_steps // segment_steps for episode in episode_ranges(episode_start))
 
 
-def test_episode_that_terminates_early_becomes_a_shorter_segment():
-    starts, ends = np.zeros((40, 2), dtype=bool), np.zeros((40, 2), dtype=bool)
-    # Environment 0: terminated episodes of 12, 1 and 15 steps, and 12 steps of one that continues.
-    # Environment 1: 9 steps truncated by a time limit, and 31 that continue.
-    starts[[0, 12, 13, 28], 0] = True
-    ends[[11, 12, 27], 0] = True
-    starts[[0, 9], 1] = True
-    places = cut_rollout(starts, ends, 14, np.random.default_rng(0))
-    assert set(places) - {place for place in places if place.n_steps == 14} == {StepRange(0, 0, 12)}
-    assert sorted((place.env, place.n_steps) for place in places) == [(0, 12), (0, 14), (1, 14), (1, 14)]
+def test_the_end_of_an_episode_that_terminates_becomes_a_shorter_segment():
+    starts, ends = np.zeros((60, 2), dtype=bool), np.zeros((60, 2), dtype=bool)
+    # Environment 0: terminated episodes of 12, 1 and 20 steps, and 27 steps of one that continues.
+    # Environment 1: 24 steps truncated by a time limit, and 36 that continue.
+    starts[[0, 12, 13, 33], 0] = True
+    ends[[11, 12, 32], 0] = True
+    starts[[0, 24], 1] = True
+    shorter: set[StepRange] = set()
+    for seed in range(50):
+        places = cut_rollout(starts, ends, 14, np.random.default_rng(seed))
+        full = sorted(place for place in places if place.n_steps == 14)
+        assert [place.env for place in full] == [0, 0, 1, 1, 1]
+        shorter |= set(places) - set(full)
+    # The full segment of the episode of 20 steps leaves up to 6 at its end; less than a fifth of 14 are too few.
+    assert shorter == {StepRange(0, 0, 12), *(StepRange(0, first, 33) for first in range(27, 31))}
 
 
 def test_same_seed_cuts_the_same_segments():

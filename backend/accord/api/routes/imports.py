@@ -20,6 +20,7 @@ from accord.domain.permissions import may_run_experiments, require
 from accord.services import audit, experiments, importing
 from accord.services.importing import ImportFormat
 from mapt.errors import PreferenceError
+from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 
 router = APIRouter(tags=["experiments"])
 PATH = "/experiments/import"
@@ -56,7 +57,7 @@ async def import_experiment(  # noqa: PLR0917 (FastAPI passes them by name)
     segment_steps: Annotated[
         int,
         Query(ge=2, le=10_000, description="Steps of a segment, for minari, d4rl, offline and saved trajectories."),
-    ] = importing.DEFAULT_SEGMENT_STEPS,
+    ] = DEFAULT_SEGMENT_STEPS,
     idempotency_key: IdempotencyKey = None,
 ) -> schemas.Experiment:
     """Creates a paused experiment with the segments and labels of an export, or of another program's file.

@@ -113,15 +113,12 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
           invalid={invalid}
           edited={isEdited(FIELDS.advanced)}
         >
-          {(field) => (
-            <Field
-              key={field.name}
-              {...propsOf(field)}
-              note={
-                field.name === "segment_steps" ? clipLength(values[field.name] || field.default, task) : ""
-              }
-            />
-          )}
+          {(given) => {
+            const field = withTaskDefault(given, task, values["policy.algorithm"]);
+            const isLength = field.name === "segment_steps";
+            const note = isLength ? clipLength(values[field.name] || field.default, task) : "";
+            return <Field key={field.name} {...propsOf(field)} note={note} />;
+          }}
         </Section>
         <Section
           title="Policy settings"

@@ -131,12 +131,13 @@ test("a clone requests the settings of its original", () => {
   const original = {
     name: "run",
     instructions: "Run.",
-    task: { instructions: "Go.", policy_settings: { gamma: 0.995, learning_rate: 5e-4, activation: "relu" } },
+    task: { instructions: "Go.", segment_steps: 10, policy_settings: { gamma: 0.995, learning_rate: 5e-4, activation: "relu" } },
     config: {
       task: "HalfCheetah-6x1",
       total_steps: 20_000,
       label_budget: 500,
       pacing: "free",
+      segment_steps: 50,
       policy: { n_envs: 8, hidden: [32, 32], n_threads: 1, gamma: 0.99, learning_rate: 5e-4 },
     },
   } as unknown as Experiment;
@@ -147,6 +148,8 @@ test("a clone requests the settings of its original", () => {
     task: "HalfCheetah-6x1",
     total_steps: "20000",
     pacing: "free",
+    // The schema's default, but not the task's.
+    segment_steps: "50",
     "policy.n_envs": "8",
     "policy.hidden": "32, 32",
     // The algorithm's default, but not the task's, which the server would set. Its learning rate it will set.
@@ -156,15 +159,20 @@ test("a clone requests the settings of its original", () => {
   expect(toRequest(values, FIELDS, hiddenPolicySettings(original)).policy).toEqual(own);
 });
 
-test("the defaults of policy settings are those of the task", () => {
+test("the length of segments and the defaults of policy settings are those of the task", () => {
   const task = {
+    segment_steps: 10,
     policy_settings: { gamma: 0.995, hidden: [128, 128], shared_actor: true },
   } as unknown as Task;
   const defaultsOf = (algorithm: string | undefined) =>
     Object.fromEntries(
-      FIELDS.policy.map((field) => [field.name, withTaskDefault(field, task, algorithm).default]),
+      [...FIELDS.advanced, ...FIELDS.policy].map((field) => [
+        field.name,
+        withTaskDefault(field, task, algorithm).default,
+      ]),
     );
   expect(defaultsOf(undefined)).toMatchObject({
+    segment_steps: "10",
     "policy.gamma": "0.995",
     "policy.hidden": "128, 128",
     "policy.learning_rate": "0.002",

@@ -44,10 +44,11 @@ export interface FieldSpec {
   maxLength: number | undefined;
 }
 
-/** A policy setting whose default is that of the task, if it has one. The server leaves out what happo cannot have. */
+/** A setting whose default is that of the task, if it has one. The server leaves out what happo cannot have. */
 export function withTaskDefault(field: FieldSpec, task: Task | undefined, algorithm: unknown): FieldSpec {
   if (algorithm === "happo" && field.name === "policy.shared_actor") return field;
-  const own = task?.policy_settings[inPolicy(field) ?? ""];
+  const own =
+    field.name === "segment_steps" ? task?.segment_steps : task?.policy_settings[inPolicy(field) ?? ""];
   return own === undefined ? field : { ...field, default: toText(own) };
 }
 

@@ -2981,7 +2981,7 @@ export interface components {
              */
             total_steps: number;
             /**
-             * @description Steps of a segment, T; at most the length of the task's episodes. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
+             * @description Steps of a segment, T; at most the length of the task's episodes. The end of an episode that terminates gives a shorter segment, if it has at least a fifth of T. A new experiment gets its task's, which GET /tasks lists, unless it sets another.
              * @default 50
              */
             segment_steps: number;
@@ -4341,6 +4341,11 @@ export interface components {
              * @description What the team should achieve.
              */
             instructions: string;
+            /**
+             * Segment Steps
+             * @description Steps of a segment of a new experiment, unless it sets others.
+             */
+            segment_steps: number;
             /**
              * Policy Settings
              * @description Settings with which policies learn the task, where they differ from the algorithm's defaults. A new experiment gets them unless it sets others.
