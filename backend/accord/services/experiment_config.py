@@ -269,8 +269,9 @@ def read_config(settings: Mapping[str, object]) -> ExperimentConfig:
     """
     task = settings.get("task")
     # Whether the task exists is checked later.
-    of_task = {"segment_steps": task_spec(task).segment_steps} if task in task_names() else {}
+    if isinstance(task, str) and task in task_names():
+        settings = {"segment_steps": task_spec(task).segment_steps, **settings}
     try:
-        return ExperimentConfig.from_dict({**of_task, **settings})
+        return ExperimentConfig.from_dict(settings)
     except InvalidConfig as error:
         raise InvalidExperiment(str(error), error.field) from error

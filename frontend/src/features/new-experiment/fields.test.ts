@@ -131,7 +131,11 @@ test("a clone requests the settings of its original", () => {
   const original = {
     name: "run",
     instructions: "Run.",
-    task: { instructions: "Go.", segment_steps: 10, policy_settings: { gamma: 0.995, learning_rate: 5e-4, activation: "relu" } },
+    task: {
+      instructions: "Go.",
+      segment_steps: 10,
+      policy_settings: { gamma: 0.995, learning_rate: 5e-4, activation: "relu" },
+    },
     config: {
       task: "HalfCheetah-6x1",
       total_steps: 20_000,
