@@ -50,8 +50,7 @@ class ExperimentConfig(Settings):
         int,
         setting(
             "Steps of a segment, T; at most the length of the task's episodes. The end of an episode that terminates "
-            "gives a shorter segment, if it has at least a fifth of T. A new experiment gets its task's, which GET "
-            "/tasks lists, unless it sets another.",
+            "gives a shorter segment, if it has at least a fifth of T. By default that of the task.",
             ge=2,
             le=10_000,
             unit="steps",

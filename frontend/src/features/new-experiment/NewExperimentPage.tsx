@@ -113,12 +113,14 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
           invalid={invalid}
           edited={isEdited(FIELDS.advanced)}
         >
-          {(given) => {
-            const field = withTaskDefault(given, task, values["policy.algorithm"]);
-            const isLength = field.name === "segment_steps";
-            const note = isLength ? clipLength(values[field.name] || field.default, task) : "";
-            return <Field key={field.name} {...propsOf(field)} note={note} />;
-          }}
+          {(field) => (
+            <Field
+              key={field.name}
+              {...propsOf(withTaskDefault(field, task, values["policy.algorithm"]))}
+              placeholder={placeholderOf(field, values, task)}
+              note={field.name === "segment_steps" ? clipLength(values[field.name], task) : ""}
+            />
+          )}
         </Section>
         <Section
           title="Policy settings"
@@ -130,7 +132,7 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
             <Field
               key={field.name}
               {...propsOf(withTaskDefault(field, task, values["policy.algorithm"]))}
-              placeholder={policyPlaceholder(field, values, task)}
+              placeholder={placeholderOf(field, values, task)}
             />
           )}
         </Section>
@@ -187,17 +189,18 @@ function optionOf({ name, n_agents }: Task): { value: string; text: string } {
   return { value: name, text: `${name} (${n_agents} agents)` };
 }
 
-/** The default of a policy setting. The schema has those of its default algorithm; tasks and others have their own. */
-function policyPlaceholder(field: FieldSpec, values: FormValues, task: Task | undefined): string {
+/** The default of a setting. Tasks have their own, and algorithms too, of which the schema has those of the usual one. */
+function placeholderOf(field: FieldSpec, values: FormValues, task: Task | undefined): string {
   const algorithm = values["policy.algorithm"];
   const ofTask = withTaskDefault(field, task, algorithm);
   if (ofTask !== field) return `${ofTask.default} for this task`;
   const usual = FIELDS.policy.find(({ name }) => name === "policy.algorithm")?.default;
-  return !algorithm || algorithm === usual ? field.default : `default of ${algorithm}`;
+  const isPolicy = field.name.startsWith("policy.");
+  return !isPolicy || !algorithm || algorithm === usual ? field.default : `default of ${algorithm}`;
 }
 
-/** The duration of a clip with this many steps; empty for an invalid number. */
-function clipLength(steps: string, task: Task | undefined): string {
-  const seconds = Number(steps) / (task?.frame_rate_hz ?? Number.NaN);
+/** The duration of a clip with this many steps, the task's by default; empty for an invalid number. */
+function clipLength(steps: string | undefined, task: Task | undefined): string {
+  const seconds = Number(steps || task?.segment_steps) / (task?.frame_rate_hz ?? Number.NaN);
   return Number.isFinite(seconds) && seconds > 0 ? `This is a clip of ${seconds.toFixed(1)} s.` : "";
 }

@@ -2981,7 +2981,7 @@ export interface components {
              */
             total_steps: number;
             /**
-             * @description Steps of a segment, T; at most the length of the task's episodes. The end of an episode that terminates gives a shorter segment, if it has at least a fifth of T. A new experiment gets its task's, which GET /tasks lists, unless it sets another.
+             * @description Steps of a segment, T; at most the length of the task's episodes. The end of an episode that terminates gives a shorter segment, if it has at least a fifth of T. By default that of the task.
              * @default 50
              */
             segment_steps: number;
