@@ -4,6 +4,9 @@ While attention is inactive, a version may try it: over several folds, the Marko
 from scratch on the same pairs, and their losses on the held-out fold are compared pair by pair. The first fold is the
 version's own hold-out, so that most trials end with one more training: a clear gain accepts attention, a gain below one
 standard error rejects it, and further folds decide between.
+
+While attention is in use, versions with as many more labels review it: a gain over new Markov paths of less than one
+standard error ends its use, until the next trial.
 """
 
 import math
@@ -26,20 +29,20 @@ MIN_MARKOV_LOSS = 0.1
 # Metrics of a version.
 #: 1 if its rewards depend on the attention path, else 0; no metric of a network without attention
 IN_USE = "attention"
-#: of the latest trial: mean reduction of the held-out loss in nats, its standard error, and the pairs it is a mean over
+#: of the latest trial or review: mean reduction of the held-out loss in nats, its standard error, and the pairs it is a mean over
 GAIN, GAIN_ERROR, GAIN_PAIRS = "attention_gain", "attention_gain_error", "attention_gain_pairs"
-#: labels at the latest trial
+#: labels at the latest trial or review
 TRIAL_LABELS = "attention_trial_labels"
 #: labels when the network in use was last trained from untrained weights, whether or not the result was better
 RESTART_LABELS = "attention_restart_labels"
-#: seconds that this version spent on a trial
+#: seconds that this version spent on a trial or review
 TRIAL_SECONDS = "attention_trial_seconds"
 _KEPT = (GAIN, GAIN_ERROR, GAIN_PAIRS, TRIAL_LABELS)
 
 
 @dataclass(frozen=True, slots=True)
 class AttentionTrial:
-    """The result of a trial."""
+    """The result of a trial or a review."""
 
     accepted: bool
     #: loss of the Markov path minus that of the whole network on each held-out pair, (P,)
@@ -83,12 +86,21 @@ def is_due(labels: int, initial: Mapping[str, float | None] | None, growth: floa
 
 def verdict(gains: Tensor, *, is_last: bool) -> bool | None:
     """Whether attention is accepted, given the gains (P,) of the folds so far; None if another fold must decide."""
-    mean, error = gains.mean().item(), standard_error(gains)
-    if mean > EARLY_THRESHOLD * error:
+    if is_clear(gains):
         return True
     if is_last:
-        return mean > LAST_THRESHOLD * error
-    return False if mean <= FUTILE_THRESHOLD * error else None
+        return gains.mean().item() > LAST_THRESHOLD * standard_error(gains)
+    return False if is_futile(gains) else None
+
+
+def is_clear(gains: Tensor) -> bool:
+    """Whether gains (P,) of some folds accept attention without further ones."""
+    return gains.mean().item() > EARLY_THRESHOLD * standard_error(gains)
+
+
+def is_futile(gains: Tensor) -> bool:
+    """Whether gains (P,) speak against attention."""
+    return gains.mean().item() <= FUTILE_THRESHOLD * standard_error(gains)
 
 
 def standard_error(gains: Tensor) -> float:

@@ -6,7 +6,7 @@
    and the Markov path does not: a trained Markov path has overfitted preferences that no Markov reward explains, and
    leaves little for attention to learn. The result must win a trial (`attention_trial.py`). With a hold-out that is too
    small, there is none.
-3. If the whole network is in use, further networks (`VersionTrainer.further_networks`), each from other initial weights
+3. If the whole network is in use, further networks (`VersionTrainer`), each from other initial weights
    and with another part of the pairs held out. The version is their mean.
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones

@@ -114,8 +114,21 @@ class VersionTrainer:
 
     def train(
         self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
+    ) -> tuple[list[RewardNetwork], AttentionTrial | None]:
+        """The version's networks, continued from `initial` or from scratch, and the trial or review if it had one."""
+        first, trial = self._first_network(initial, initial_metrics)
+        if first.is_markov or not self._first.is_reliable:
+            return [first], trial
+        networks = [first, *self._further_networks(initial)]
+        due = attention_trial.is_due(len(self._pairs), initial_metrics, self._settings.trial_growth)
+        if self._config.markov_path and trial is None and due:
+            return self._review(networks)
+        return networks, trial
+
+    def _first_network(
+        self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
     ) -> tuple[RewardNetwork, AttentionTrial | None]:
-        """The network of the first fold, continued from `initial` or from scratch, and its trial if it had one."""
+        """The network of the first fold, and its trial if it had one."""
         if initial is None:
             model = self._new_model()
             losses = self._train_markov(model, self._first)
@@ -131,7 +144,7 @@ class VersionTrainer:
         accepted, trial = self._try_attention(losses)
         return accepted or model, trial
 
-    def further_networks(self, initial: RewardModel | None) -> list[RewardNetwork]:
+    def _further_networks(self, initial: RewardModel | None) -> list[RewardNetwork]:
         """Whole networks of the folds after the first; fewer if stopped.
 
         Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
@@ -152,6 +165,31 @@ class VersionTrainer:
                 break
             networks.append(model)
         return networks
+
+    def _review(self, networks: list[RewardNetwork]) -> tuple[list[RewardNetwork], AttentionTrial | None]:
+        """`networks`, or a Markov path alone if they predict held-out pairs no better; and the review.
+
+        A trial on a hundred labels accepts attention by chance now and then, and with it a version takes ten times as
+        long. Until the gain is clear, a Markov path is trained from scratch on the pairs of each network.
+        """
+        started, gains, paths = self._log.seconds, list[Tensor](), list[RewardNetwork]()
+        accepted = True
+        for fold, network in zip(self.folds, networks, strict=False):
+            paths.append(self._new_model())
+            losses = self._train_markov(paths[-1], fold)
+            if self._log.stopped:
+                return networks, None
+            gains.append(losses - self._losses(network, fold))
+            accepted = self._can_gain(losses, fold) and not attention_trial.is_futile(torch.cat(gains))
+            if attention_trial.is_clear(torch.cat(gains)):
+                break
+        review = AttentionTrial(accepted, torch.cat(gains), len(self._pairs), self._log.seconds - started)
+        return (networks if accepted else paths[:1]), review
+
+    @staticmethod
+    def _can_gain(losses: Tensor, fold: Fold) -> bool:
+        """Whether a Markov path with these losses on a fold's evaluated pairs leaves attention something to gain."""
+        return losses.mean().item() - fold.evaluated.irreducible_loss >= attention_trial.MIN_MARKOV_LOSS
 
     def _restart(
         self, model: RewardNetwork, initial: RewardModel, metrics: Mapping[str, float | None] | None
@@ -199,7 +237,7 @@ class VersionTrainer:
             and model.is_markov
             and not self._log.stopped
             and self._first.is_reliable
-            and losses.mean().item() - self._first.evaluated.irreducible_loss >= attention_trial.MIN_MARKOV_LOSS
+            and self._can_gain(losses, self._first)
             and attention_trial.is_due(len(self._pairs), initial_metrics, self._settings.trial_growth)
         )
 
@@ -345,20 +383,17 @@ def train_reward_model(
         pairs, held_out = dataset.joined(hold_out), np.arange(len(dataset) + len(hold_out)) >= len(dataset)
     with seeded(train_config.seed, device):
         trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out)
-        first, trial = trainer.train(initial, initial_metrics if initial is not None else None)
-        reliable = trainer.folds[0].is_reliable
-        further = [] if first.is_markov or not reliable else trainer.further_networks(initial)
-    networks = [first, *further]
+        networks, trial = trainer.train(initial, initial_metrics if initial is not None else None)
     # Each pair that was held out is evaluated with the network that was not trained on it.
     scorer, held = network_scorer(segments), [fold.hold_out for fold in trainer.folds[: len(networks)]]
     labels, weights = torch.cat([each.labels for each in held]), PairTensors.joined_weights(held)
     logits = torch.cat([each.logits(network, scorer) for each, network in zip(held, networks, strict=True)])
-    if reliable:
+    if trainer.folds[0].is_reliable:
         factor = confidence(logits, labels, train_config.label_noise, weights)
         logits = factor * logits
         for network in networks:
             network.scale_rewards(factor)
-    model = MeanReward(networks).eval() if further else first
+    model = MeanReward(networks).eval() if len(networks) > 1 else networks[0]
     scaled = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
     mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
@@ -376,7 +411,7 @@ def train_reward_model(
         "labels": float(len(pairs)),
         "holdout_labels": float(len(labels)),
         "holdout_strict_labels": float((counted(labels, weights) & (labels != 0.5)).sum()),
-        "holdout_reliable": float(reliable),
+        "holdout_reliable": float(trainer.folds[0].is_reliable),
         "networks": float(len(networks)),
         "stopped": float(log.stopped),
         **trial_metrics(trial, initial_metrics),

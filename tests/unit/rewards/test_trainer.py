@@ -401,11 +401,44 @@ def test_a_network_without_attention_does_not_report_it():
     assert "attention" not in train_reward_model(preferences(40), config, QUICK).metrics
 
 
-def test_attention_in_use_is_trained_further_without_a_trial(monkeypatch):
+def test_attention_in_use_is_not_reviewed_before_labels_have_grown(monkeypatch):
     first = accepted(monkeypatch)
-    second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
+    # 100 labels are fewer than 1.3 times 80.
+    second = train_reward_model(preferences(100), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
     assert (second.metrics["attention"], second.metrics["attention_trial_seconds"]) == (1, 0)
     assert second.metrics["attention_gain"] == first.metrics["attention_gain"]
+
+
+def test_attention_that_was_accepted_by_chance_ends_with_more_labels(monkeypatch):
+    first = accepted(monkeypatch)
+    settings = replace(QUICK, markov_epochs=40)
+    second = train_reward_model(preferences(120), CONFIG, settings, initial=first.model, initial_metrics=first.metrics)
+    assert second.model.is_markov
+    assert (second.metrics["attention"], second.metrics["networks"]) == (0, 1)
+    assert second.metrics["attention_trial_labels"] == 120
+    assert second.metrics["attention_trial_seconds"] > 0
+    assert second.metrics["attention_gain"] < second.metrics["attention_gain_error"]
+    # The Markov path is one of the first fold: its hold-out is that of the version.
+    held_out = preferences(120).held_out(QUICK.hold_out_fraction, QUICK.seed)
+    assert second.metrics["holdout_labels"] == held_out.sum()
+
+
+def test_attention_that_still_gains_stays_in_use(monkeypatch):
+    first = accepted(monkeypatch)
+    monkeypatch.setattr(attention_trial, "is_futile", lambda gains: False)
+    monkeypatch.setattr(attention_trial, "is_clear", lambda gains: False)
+    second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
+    assert (second.metrics["attention"], second.metrics["networks"]) == (1, 5)
+    assert (second.metrics["attention_trial_labels"], second.metrics["attention_gain_pairs"]) == (120, 120)
+    assert second.metrics["attention_gain"] != first.metrics["attention_gain"]
+
+
+def test_attention_ends_where_a_markov_path_leaves_nothing_to_gain(monkeypatch):
+    first = accepted(monkeypatch)
+    monkeypatch.setattr(attention_trial, "is_futile", lambda gains: False)
+    monkeypatch.setattr(attention_trial, "MIN_MARKOV_LOSS", 10.0)
+    second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
+    assert second.model.is_markov
 
 
 @pytest.mark.parametrize("labels_of_restart", [20, 80])

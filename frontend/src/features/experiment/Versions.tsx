@@ -47,7 +47,7 @@ function attentionText(version: RewardVersion): string {
   return inUse ? "in use" : "not in use";
 }
 
-/** The reduction of the held-out loss that the latest trial of attention measured; empty before the first trial. */
+/** The reduction of the held-out loss that the latest trial or review of attention measured; empty before the first trial. */
 function trialText(version: RewardVersion): string {
   const gain = versionMetric(version, "attention_gain");
   const error = versionMetric(version, "attention_gain_error");
@@ -55,7 +55,7 @@ function trialText(version: RewardVersion): string {
   const labels = versionMetric(version, "attention_trial_labels");
   if (gain === null || error === null || pairs === null || labels === null) return "";
   const change = `${gain < 0 ? "" : "+"}${formatDecimals(gain, 3)} ± ${formatDecimals(error, 3)}`;
-  return `gain ${change} nats on ${formatCount(pairs)} pairs, tried at ${formatCount(labels)} labels`;
+  return `gain ${change} nats on ${formatCount(pairs)} pairs, judged at ${formatCount(labels)} labels`;
 }
 
 function Row({ version }: { version: RewardVersion }) {

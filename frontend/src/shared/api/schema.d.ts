@@ -4093,7 +4093,7 @@ export interface components {
             policy_steps: number;
             /**
              * Metrics
-             * @description Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; attention_trial_seconds is the time that this version spent on a trial. networks is the number of networks whose mean the version is; each held-out label is judged by a network that was not trained on it. labels_unreadable is the number of labels left out because the arrays of a segment are missing or damaged. label_weight is the mean weight of the labels, where they were weighted by the reliability of their labellers.
+             * @description Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial or review; attention_trial_seconds is the time that this version spent on one. networks is the number of networks whose mean the version is; each held-out label is judged by a network that was not trained on it. labels_unreadable is the number of labels left out because the arrays of a segment are missing or damaged. label_weight is the mean weight of the labels, where they were weighted by the reliability of their labellers.
              */
             metrics: {
                 [key: string]: unknown;
