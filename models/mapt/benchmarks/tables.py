@@ -196,7 +196,8 @@ def markdown(summary: Summary) -> str:
         "of scores with true returns (`late`: over the newest fifth of the segments) and with the teacher's scores; "
         "`steps` is Pearson's correlation of step rewards with the true rewards (`within`: after subtracting each "
         "segment's mean). Minutes are training time. `attention in use` is the fraction of seeds whose rewards depend "
-        "on the attention path; `its gain` is the reduction of the held-out loss, in nats, in the latest trial or review.",
+        "on the attention path; `its gain` is the reduction of the held-out loss, in nats, in the latest trial or "
+        "review.",
     ]
     if plan.warm_start:
         parts.append("Each number of labels continues from the model of the previous one.")

@@ -29,7 +29,8 @@ MIN_MARKOV_LOSS = 0.1
 # Metrics of a version.
 #: 1 if its rewards depend on the attention path, else 0; no metric of a network without attention
 IN_USE = "attention"
-#: of the latest trial or review: mean reduction of the held-out loss in nats, its standard error, and the pairs it is a mean over
+#: of the latest trial or review: mean reduction of the held-out loss in nats, its standard error, and the number of
+#: pairs
 GAIN, GAIN_ERROR, GAIN_PAIRS = "attention_gain", "attention_gain_error", "attention_gain_pairs"
 #: labels at the latest trial or review
 TRIAL_LABELS = "attention_trial_labels"
