@@ -54,7 +54,8 @@ def test_the_api_is_described_to_those_who_are_signed_in(service: Service, sign_
     page.get_by_text("PUT /api/v1/queries/{query_id}/label").click()
     expect(page.get_by_text("Creates or changes the caller's label.")).to_be_visible()
     page.screenshot(path=service.home / "api.png")
-    found = violations_of(page, "api")
+    # Contrast on all of the hundred bodies takes axe a minute, and each is a table like the first ones.
+    found = violations_of(page, "api", alike="[id^=schema-]:nth-child(n+12)")
     page.get_by_role("link", name="NewLabel", exact=True).click()
     expect(page.get_by_role("heading", name="NewLabel", exact=True)).to_be_in_viewport()
     page.get_by_role("button", name="Sign out").click()
