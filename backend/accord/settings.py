@@ -194,6 +194,14 @@ class Settings(BaseSettings):
         le=1024,
         description="Threads of torch in each reward and policy worker; more than 1 helps only where cores are idle.",
     )
+    reward_processes: int = Field(
+        default=1,
+        ge=1,
+        le=20,
+        description="Processes in which each reward worker trains the networks of a version whose attention is in use, "
+        "or the members of an ensemble, at the same time: up to 5 where cores are idle. Each needs about half a "
+        "gigabyte of memory, which new experiments are not checked for.",
+    )
     webhook_private_addresses: bool = Field(
         default=False,
         description="Webhooks may lead to this machine and to private networks, and may use http instead of https.",

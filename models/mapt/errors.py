@@ -118,7 +118,7 @@ class TrainingDiverged(MaptError):
 
 
 class MemberTrainingFailed(MaptError):
-    """The process that trains a member of an ensemble failed."""
+    """The process that trains a member of an ensemble, or a network of a reward version, failed."""
 
     def __init__(self, member: int, reason: str) -> None:
         super().__init__(f"The training of member {member} failed ({reason}).")

@@ -216,6 +216,7 @@ class RewardWorker:
             training,
             initial=self._parent(newest, config),
             initial_metrics=newest.metrics if newest else None,
+            workers=self._context.settings.reward_processes,
             progress=self._reporter(f"reward version {number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
@@ -240,6 +241,7 @@ class RewardWorker:
             training,
             settings.ensemble_members,
             initial=parent if fits else None,
+            workers=self._context.settings.reward_processes,
             progress=self._reporter(f"the ensemble of reward version {version.number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )

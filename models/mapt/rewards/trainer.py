@@ -5,18 +5,21 @@
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mapt.device import resolve_device, seeded
-from mapt.errors import ModelMismatch
+from mapt.errors import InvalidConfig, MemberTrainingFailed, ModelMismatch
 from mapt.preferences.dataset import BoolArray, PreferenceDataset, SegmentSource
+from mapt.processes import ParentConnection, run_jobs
 from mapt.rewards import attention_trial
 from mapt.rewards.attention_trial import IN_USE, RESTART_LABELS, AttentionTrial, cross_selected, trial_metrics
+from mapt.rewards.checkpoints import SavedRewardModel, load_reward_model, save_reward_model
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.data import (
     MarkovScorer,
@@ -80,12 +83,33 @@ class Fold:
         return self.hold_out if self.is_reliable else self.train
 
 
+@dataclass(frozen=True, slots=True)
+class NetworkJob:
+    """The training of one network of a version."""
+
+    #: index of the fold whose pairs it holds out
+    fold: int
+    #: the network from which it continues; None for untrained weights
+    initial: SavedRewardModel | None
+
+
+@dataclass(frozen=True, slots=True)
+class VersionData:
+    """What a process needs to train a network of a version; see `VersionTrainer`."""
+
+    config: RewardConfig
+    train_config: TrainConfig
+    pairs: PreferenceDataset
+    held_out: BoolArray
+
+
 class VersionTrainer:
     """Trains the networks of one version, those of the trial of its attention path among them.
 
     Args:
         pairs: all labelled pairs.
         held_out: bool (P,), those of the version's hold-out.
+        workers: processes that train networks at the same time; 1 trains them in this process.
     """
 
     def __init__(
@@ -97,9 +121,10 @@ class VersionTrainer:
         *,
         pairs: PreferenceDataset,
         held_out: BoolArray,
+        workers: int = 1,
     ) -> None:
         self._config, self._settings, self._segments, self._log = config, train_config, segments, log
-        self._pairs = pairs
+        self._pairs, self._held_out, self._workers = pairs, held_out, workers
         self._dtype = resolve_precision(train_config.precision, config.hidden_dim, segments.device)
         self._sample = segments.take(evenly_spaced_sample(segments)).inputs
         self._used = torch.as_tensor(np.unique(pairs.pairs), device=segments.device)
@@ -150,21 +175,50 @@ class VersionTrainer:
         Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
         than each of them (docs/results.md, "The mean of networks").
         """
-        networks = list[RewardNetwork]()
-        for number, fold in enumerate(self.folds[1 : self._n_networks]):
-            if number < len(self._tried):
-                networks.append(self._tried[number])
-                continue
-            if initial is not None and self._warm:
-                model = self._copied(initial.networks[number + 1])
-                self._continue(model, fold)
-            else:
-                model = self._new_model()
-                self._train_network(model, fold)
+        count = min(self._n_networks, len(self.folds)) - 1
+        networks = self._tried[:count]
+        folds = range(len(networks) + 1, count + 1)
+        if initial is not None and self._warm:
+            jobs = [NetworkJob(fold, save_reward_model(initial.networks[fold], {})) for fold in folds]
+        else:
+            jobs = [NetworkJob(fold, None) for fold in folds]
+        if self._workers > 1 and len(jobs) > 1:
+            return networks + self._train_in_processes(jobs)
+        for job in jobs:
+            network = self.further_network(job)
             if self._log.stopped:
                 break
-            networks.append(model)
+            networks.append(network)
         return networks
+
+    def further_network(self, job: "NetworkJob") -> RewardNetwork:
+        """The whole network of a fold after the first. It does not depend on the process that trains it."""
+        fold, seed = self.folds[job.fold], np.random.SeedSequence([self._settings.seed, job.fold]).generate_state(1)
+        with seeded(int(seed[0]), self._segments.device):
+            if job.initial is None:
+                model = self._new_model()
+                self._train_network(model, fold)
+            else:
+                model = self._copied(load_reward_model(job.initial.weights, job.initial.card).model.networks[0])
+                self._continue(model, fold)
+        return model
+
+    def _train_in_processes(self, jobs: Sequence["NetworkJob"]) -> list[RewardNetwork]:
+        """The networks of `jobs`, in order; fewer if stopped."""
+        shared = VersionData(self._config, self._settings, self._pairs, self._held_out)
+        trained = dict[int, RewardNetwork]()
+        for done in run_jobs(
+            partial(_train_network_in_process, shared),
+            jobs,
+            self._workers,
+            on_message=lambda job, at: self._log.add(at.loss, at.holdout_loss, at.holdout_accuracy),
+            should_stop=self._log.should_stop,
+        ):
+            if done.result is None:
+                raise MemberTrainingFailed(done.job.fold, done.failure or "")
+            network = load_reward_model(done.result.weights, done.result.card).model.networks[0]
+            trained[done.job.fold] = network.to(self._segments.device)
+        return [] if self._log.stopped else [trained[job.fold] for job in jobs]
 
     def _review(self, networks: list[RewardNetwork]) -> tuple[list[RewardNetwork], AttentionTrial | None]:
         """`networks`, or a Markov path alone if they predict held-out pairs no better; and the review.
@@ -334,6 +388,18 @@ class VersionTrainer:
         return calibrated_losses(logits, evaluated.labels, self._settings.label_noise, evaluated.weights)
 
 
+def _train_network_in_process(data: VersionData, job: NetworkJob, parent: ParentConnection) -> SavedRewardModel:
+    trainer = VersionTrainer(
+        data.config,
+        data.train_config,
+        segment_reader(data.pairs.segments, resolve_device(data.train_config.device)),
+        TrainingLog(parent.send, parent.cancelled),
+        pairs=data.pairs,
+        held_out=data.held_out,
+    )
+    return save_reward_model(trainer.further_network(job), {})
+
+
 def train_reward_model(
     dataset: PreferenceDataset,
     config: RewardConfig,
@@ -343,6 +409,7 @@ def train_reward_model(
     initial_metrics: Mapping[str, float | None] | None = None,
     hold_out: PreferenceDataset | None = None,
     reference: SegmentSource | None = None,
+    workers: int = 1,
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> TrainedReward:
@@ -356,6 +423,8 @@ def train_reward_model(
         initial_metrics: the metrics of `initial`, which say when its attention path was last tried.
         hold_out: pairs of the same segments to evaluate on; by default a fraction of `dataset` is held out.
         reference: segments over which rewards are normalised (`RewardModel.normalised`); default: the dataset's own.
+        workers: processes that train the networks of a version at the same time, if attention is in use; 1 trains them
+            one after the other in this process. The result is the same.
         progress: called after every epoch.
         stop: called before every step; true ends the training with the best weights so far.
 
@@ -369,9 +438,13 @@ def train_reward_model(
         alone, are left out.
 
     Raises:
+        InvalidConfig: if `workers` is less than 1.
         NotEnoughPairs: with fewer than two pairs.
         ModelMismatch: if the dimensions of dataset, config and `initial` differ.
+        MemberTrainingFailed: if a worker process ends without a network.
     """
+    if workers < 1:
+        raise InvalidConfig(f"workers is {workers}; it must be 1 or more.", "workers")
     check_fit(config, dataset.segments)
     if initial is not None and initial.config != config:
         raise ModelMismatch("settings of the initial model", config, initial.config)
@@ -382,7 +455,7 @@ def train_reward_model(
     else:
         pairs, held_out = dataset.joined(hold_out), np.arange(len(dataset) + len(hold_out)) >= len(dataset)
     with seeded(train_config.seed, device):
-        trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out)
+        trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out, workers=workers)
         networks, trial = trainer.train(initial, initial_metrics if initial is not None else None)
     # Each pair that was held out is evaluated with the network that was not trained on it.
     scorer, held = network_scorer(segments), [fold.hold_out for fold in trainer.folds[: len(networks)]]

@@ -267,6 +267,7 @@ def start(experiment: RunningExperiment) -> Iterator[Any]:
         "ACCORD_POLL_SECONDS": "0.02",
         "ACCORD_WORKER_LEASE_SECONDS": "2",
         "ACCORD_TORCH_THREADS": "1",
+        "ACCORD_REWARD_PROCESSES": "2",
     }
 
     def start_process() -> subprocess.Popen[bytes]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from mapt.device import torch_threads
 from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.loss import preference_losses
@@ -507,6 +508,45 @@ def test_each_network_of_a_version_continues_from_its_own(monkeypatch):
     assert (single.metrics["networks"], single.metrics["attention_restart_labels"]) == (5, 85)
 
 
+@pytest.mark.parametrize("n_pairs", [85, 100], ids=["further", "from untrained weights"])
+def test_networks_trained_in_processes_equal_those_of_one_process(monkeypatch, n_pairs):
+    first, epochs = accepted(monkeypatch), []
+    settings = replace(QUICK, networks=3, trial_folds=3)
+    with torch_threads(1):
+        alone, side_by_side = (
+            train_reward_model(
+                preferences(n_pairs),
+                CONFIG,
+                settings,
+                initial=first.model,
+                initial_metrics=first.metrics,
+                workers=workers,
+                progress=lambda at: epochs.append(at.epoch),
+            )
+            for workers in (1, 2)
+        )
+    assert alone.metrics["networks"] == 3
+    assert same_weights(alone.model, side_by_side.model)
+    assert side_by_side.metrics["epochs"] == alone.metrics["epochs"] == len(epochs) / 2
+
+
+def test_stop_ends_networks_in_processes(monkeypatch):
+    first, epochs = accepted(monkeypatch), []
+    # The first network ends after three epochs; then, four others train in two processes.
+    trained = train_reward_model(
+        preferences(100),
+        CONFIG,
+        QUICK,
+        initial=first.model,
+        initial_metrics=first.metrics,
+        workers=2,
+        progress=lambda at: epochs.append(at.epoch),
+        stop=lambda: len(epochs) >= 4,
+    )
+    assert trained.metrics["stopped"] == 1
+    assert trained.metrics["networks"] == 1
+
+
 def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(monkeypatch):
     first = accepted(monkeypatch)
     initial = copy.deepcopy(first.model)
@@ -546,9 +586,11 @@ def test_markov_model_is_one_network():
     assert (trained.metrics["attention"], trained.metrics["networks"]) == (0, 1)
 
 
-def test_more_networks_than_folds_are_refused():
+def test_more_networks_than_folds_and_no_worker_are_refused():
     with pytest.raises(InvalidConfig, match="each network needs a fold"):
         TrainConfig(networks=6)
+    with pytest.raises(InvalidConfig, match="workers is 0; it must be 1 or more"):
+        train_reward_model(preferences(10), CONFIG, QUICK, workers=0)
 
 
 def test_untrained_markov_scorer_equals_the_network_scorer():
