@@ -200,7 +200,7 @@ class Settings(BaseSettings):
         le=20,
         description="Processes in which each reward worker trains the networks of a version whose attention is in use, "
         "or the members of an ensemble, at the same time: up to 5 where cores are idle. Each needs about half a "
-        "gigabyte of memory, which new experiments are not checked for.",
+        "gigabyte of memory.",
     )
     webhook_private_addresses: bool = Field(
         default=False,

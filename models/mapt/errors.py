@@ -121,7 +121,7 @@ class MemberTrainingFailed(MaptError):
     """The process that trains a member of an ensemble, or a network of a reward version, failed."""
 
     def __init__(self, member: int, reason: str) -> None:
-        super().__init__(f"The training of member {member} failed ({reason}).")
+        super().__init__(f"The training of model {member} failed ({reason}).")
         self.member = member
         self.reason = reason
 

@@ -28,8 +28,7 @@ from mapt.rewards.config import Precision, PresetName, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, ResidentSegments, network_scorer
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 from mapt.rewards.schedule import network_stage
-from mapt.rewards.stage_trainer import RewardTrainer, Stage, adamw, weight_average
-from mapt.rewards.trainer import pairs_per_pass
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, adamw, pairs_per_pass, weight_average
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
 N_ENVS, ROLLOUT_STEPS = 40, 100

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from accord.domain.errors import InvalidExperiment
 from mapt.errors import InvalidConfig
 from mapt.policies.config import PolicyConfig
+from mapt.preferences.selection import needs_ensemble, selector_names
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting, within
 from mapt.tasks import task_names, task_spec
 from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
@@ -245,6 +246,11 @@ class ExperimentConfig(Settings):
             return PolicyConfig.from_dict(
                 {"seed": self.seed, "device": self.device, "n_threads": n_threads, **self.policy}
             )
+
+    @property
+    def needs_ensemble(self) -> bool:
+        """Whether the selection of queries needs an ensemble of each version; false for an unknown selector."""
+        return self.query_selection in selector_names() and needs_ensemble(self.query_selection)
 
     @property
     def schedule(self) -> LabelSchedule:

@@ -17,7 +17,7 @@ from accord.domain.errors import (
 from accord.domain.ids import new_id
 from accord.services import webhooks
 from accord.services.experiment_config import ExperimentConfig, read_config
-from accord.services.training_memory import require_fits
+from accord.services.training_memory import THIS_MACHINE, MemoryLimit, require_fits
 from accord.services.validation import check_line, check_lines
 from accord.store import attempts, experiments
 from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
@@ -63,7 +63,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     config: ExperimentConfig,
     instructions: str | None,
     experiment_id: str | None = None,
-    memory_limit_bytes: int = 0,
+    memory: MemoryLimit = THIS_MACHINE,
     creation_key: str | None = None,
 ) -> ExperimentRow:
     """Creates an experiment, which a policy worker then claims.
@@ -71,7 +71,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     Args:
         instructions: shown to labellers; the task's own if None or empty.
         experiment_id: its id, where blobs of it are stored already; a new one by default.
-        memory_limit_bytes: of its training; 0 for the memory of this machine.
+        memory: that its training may need.
         creation_key: by which `created_by` finds it when the request is repeated.
 
     Raises:
@@ -91,7 +91,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         )
     # The task's settings are stored too, so that a later version of Accord may change them.
     config = read_config(config.to_dict() | {"policy": settings_for(spec, config.policy)})
-    require_fits(config, spec, memory_limit_bytes)
+    require_fits(config, spec, memory)
     shown = check_lines(instructions or "", "instructions", MAX_INSTRUCTIONS) or spec.instructions
     row = ExperimentRow(
         id=experiment_id or new_id("exp"),

@@ -19,6 +19,7 @@ from accord.services import accounts, experiments, select
 from accord.services.collect import NewSegment, StoredSegment, collect, store_arrays
 from accord.services.exclusion import recount
 from accord.services.experiment_config import ExperimentConfig, read_config
+from accord.services.training_memory import THIS_MACHINE, MemoryLimit
 from accord.store.blobs import BlobStore
 from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow
 from mapt.errors import MissingFeatures, PreferenceError
@@ -275,7 +276,7 @@ def create(  # noqa: PLR0917 (as `experiments.create`)
     owner_id: str,
     name: str,
     found: Imported,
-    memory_limit_bytes: int = 0,
+    memory: MemoryLimit = THIS_MACHINE,
     creation_key: str | None = None,
 ) -> None:
     """Creates the experiment, paused, with the imported segments, queries and labels.
@@ -295,7 +296,7 @@ def create(  # noqa: PLR0917 (as `experiments.create`)
         found.config,
         found.instructions[0],
         experiment_id=found.experiment_id,
-        memory_limit_bytes=memory_limit_bytes,
+        memory=memory,
         creation_key=creation_key,
     )
     for text in found.instructions[1:]:

@@ -16,10 +16,12 @@ Policy worker, all float32 unless said otherwise:
 Reward worker:
 
 - segments: 2 copies of T N (C + A) values for the two segments of every label;
-- gradient step over p pairs, as many as `mapt.rewards.trainer` takes in a pass: 2pTN agent-steps with 90 values per
-  unit of the network's width and layer, and 4 p N heads T^2 attention weights.
+- gradient step over p pairs, as many as `mapt.rewards.stage_trainer` takes in a pass: 2pTN agent-steps with 90 values
+  per unit of the network's width and layer, and 4 p N heads T^2 attention weights.
 
-Each of the two processes needs `PROCESS_BYTES` besides. The test compares both parts with the peaks of real trainings.
+Processes that train the networks of a version at the same time (`ACCORD_REWARD_PROCESSES`) each need what the reward
+worker needs. Every process needs `PROCESS_BYTES` besides. The test compares both parts with the peaks of real
+trainings.
 """
 
 from dataclasses import dataclass
@@ -37,8 +39,8 @@ from mapt.tasks import TaskSpec
 #: Python with torch and the task
 PROCESS_BYTES = 400_000_000
 _FLOAT32, _FLOAT64 = 4, 8
-# `ACTIVATIONS_PER_PASS` of mapt.rewards.trainer and `AGENT_STEPS_PER_PASS` of mapt.rewards.relabelling, which import
-# torch; a test compares them.
+# `ACTIVATIONS_PER_PASS` of mapt.rewards.stage_trainer and `AGENT_STEPS_PER_PASS` of mapt.rewards.relabelling, which
+# import torch; a test compares them.
 TRAINED_ACTIVATIONS_PER_PASS = 1 << 20
 RELABELLED_AGENT_STEPS_PER_PASS = 1 << 13
 _CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
@@ -58,16 +60,33 @@ _LARGE = (
 
 
 @dataclass(frozen=True, slots=True)
+class MemoryLimit:
+    """The memory that the training of an experiment may need, and the processes that share it."""
+
+    #: 0 for the memory of this machine
+    n_bytes: int = 0
+    #: `ACCORD_REWARD_PROCESSES`
+    reward_processes: int = 1
+
+
+THIS_MACHINE = MemoryLimit()
+
+
+@dataclass(frozen=True, slots=True)
 class TrainingMemory:
     """Bytes that the training of an experiment needs at its peak, without `PROCESS_BYTES`."""
 
     policy_bytes: int
+    #: of each process that trains reward models
     reward_bytes: int
+    #: the reward worker, and the processes in which it trains several models at the same time
+    reward_processes: int = 1
 
     @property
     def total_bytes(self) -> int:
-        """Of both processes."""
-        return self.policy_bytes + self.reward_bytes + 2 * PROCESS_BYTES
+        """Of all processes."""
+        reward_bytes = self.reward_processes * (self.reward_bytes + PROCESS_BYTES)
+        return self.policy_bytes + PROCESS_BYTES + reward_bytes
 
 
 def machine_bytes() -> int:
@@ -77,27 +96,28 @@ def machine_bytes() -> int:
     return total if limit == "max" else min(total, int(limit))
 
 
-def require_fits(config: ExperimentConfig, spec: TaskSpec, limit_bytes: int) -> None:
-    """Checks that an experiment can be trained in `limit_bytes`; 0 for the memory of this machine.
+def require_fits(config: ExperimentConfig, spec: TaskSpec, memory: MemoryLimit) -> None:
+    """Checks that an experiment can be trained in `memory`.
 
     Raises:
         InvalidExperiment: if the estimate is larger; names the setting whose default would lower it most.
     """
-    limit = limit_bytes or machine_bytes()
-    estimate = training_memory(config, spec).total_bytes
+    limit = memory.n_bytes or machine_bytes()
+    processes = memory.reward_processes
+    estimate = training_memory(config, spec, processes).total_bytes
     if estimate <= limit:
         return
-    smaller = {name: training_memory(_with_default(config, name), spec).total_bytes for name in _LARGE}
+    smaller = {name: training_memory(_with_default(config, name), spec, processes).total_bytes for name in _LARGE}
     name = min(smaller, key=lambda each: smaller[each])
     raise InvalidExperiment(
         f"The training needs about {_gigabytes(estimate)} of memory; the limit is {_gigabytes(limit)} "
-        f"({'ACCORD_MAX_TRAINING_BYTES' if limit_bytes else 'the memory of this machine'}). The setting that "
+        f"({'ACCORD_MAX_TRAINING_BYTES' if memory.n_bytes else 'the memory of this machine'}). The setting that "
         f"matters most is {name}: with its default, it would be about {_gigabytes(smaller[name])}.",
         name,
     )
 
 
-def training_memory(config: ExperimentConfig, spec: TaskSpec) -> TrainingMemory:
+def training_memory(config: ExperimentConfig, spec: TaskSpec, reward_processes: int = 1) -> TrainingMemory:
     """The estimate for an experiment with a task."""
     policy = config.policy_config()
     learned = config.reward_source == "preferences"
@@ -105,7 +125,18 @@ def training_memory(config: ExperimentConfig, spec: TaskSpec) -> TrainingMemory:
     return TrainingMemory(
         _rollout_bytes(policy, spec) + _step_bytes(policy, spec) + _network_bytes(policy, spec) + relabelling,
         _reward_bytes(config, spec) if learned else 0,
+        1 + _processes_of_worker(config, spec, reward_processes) if learned else 0,
     )
+
+
+def _processes_of_worker(config: ExperimentConfig, spec: TaskSpec, reward_processes: int) -> int:
+    """Processes in which a reward worker trains the networks of a version, or an ensemble; 0 for its own alone."""
+    # The first network of a version is trained before the others.
+    is_markov = _reward_network(config, spec).architecture == "mlp"
+    networks = 0 if is_markov else TrainConfig.preset(config.reward_preset).networks - 1
+    members = config.ensemble_members if config.needs_ensemble else 1
+    at_once = min(reward_processes, max(networks, members))
+    return at_once if at_once > 1 else 0
 
 
 def _rollout_bytes(policy: PolicyConfig, spec: TaskSpec) -> int:

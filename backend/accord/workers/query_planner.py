@@ -29,7 +29,6 @@ from mapt.preferences.selection import (
     needs_ensemble,
     needs_features,
     needs_view,
-    selector_names,
 )
 from mapt.rewards.ensemble import RewardEnsemble
 from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
@@ -171,11 +170,6 @@ class QueryPlanner:
             while len(self._loaded) > _KEPT_ENSEMBLES:
                 del self._loaded[next(iter(self._loaded))]
         return ensemble
-
-
-def wants_ensemble(config: ExperimentConfig) -> bool:
-    """Whether the selector needs an ensemble of each version; false for an unknown selector."""
-    return config.query_selection in selector_names() and needs_ensemble(config.query_selection)
 
 
 def _read_candidates(session: Session, experiment_id: str) -> _Candidates | None:

@@ -27,7 +27,6 @@ from accord.store import credits
 from accord.store.credits import ReportedPair
 from accord.store.tables import CreditRow, RewardVersionRow
 from accord.workers.model_store import EnsembleStore, read_reward_model
-from accord.workers.query_planner import wants_ensemble
 from accord.workers.runner import Context, error_sentence
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.rewards import inspection
@@ -127,7 +126,7 @@ class RewardInspector:
                 )
                 for each in (found[first], found[second])
             ],
-            lacks_ensemble=members is None and wants_ensemble(config),
+            lacks_ensemble=members is None and config.needs_ensemble,
         )
 
     def _report(
@@ -169,7 +168,7 @@ class RewardInspector:
             ),
             segments=len(segments.arrays),
             steps=int(segments.arrays.mask.sum()),
-            lacks_ensemble=members is None and wants_ensemble(config),
+            lacks_ensemble=members is None and config.needs_ensemble,
         )
 
     def _read(self, pairs: Sequence[ReportedPair]) -> _Segments:

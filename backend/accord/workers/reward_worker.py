@@ -23,7 +23,7 @@ from accord.workers.attempts import counted_attempt
 from accord.workers.heartbeat import Claim
 from accord.workers.label_weights import weight_labels, weights_of_version
 from accord.workers.model_store import EnsembleStore, read_reward_model, store_reward_model
-from accord.workers.query_planner import QueryPlanner, wants_ensemble
+from accord.workers.query_planner import QueryPlanner
 from accord.workers.reward_inspector import RewardInspector
 from accord.workers.runner import BackgroundThread, Context, run_worker
 from mapt.errors import InvalidConfig, ModelMismatch
@@ -136,7 +136,7 @@ class RewardWorker:
             newest = publish.newest(session, row.id)
             changed = publish.new_labels(session, row.id, newest.label_watermark if newest else 0)
             # Without queries left to create, nothing needs an ensemble.
-            needs_ensembles = wants_ensemble(config) and select.queries_within_budget(session, row) > 0
+            needs_ensembles = config.needs_ensemble and select.queries_within_budget(session, row) > 0
         due = config.schedule.version_is_due(
             labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )

@@ -21,9 +21,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from mapt.device import resolve_device
-from mapt.errors import DamagedCheckpoint, InvalidConfig, MemberTrainingFailed, ModelMismatch
+from mapt.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource, in_batches
-from mapt.processes import ParentConnection, run_jobs
+from mapt.processes import ParentConnection
 from mapt.rewards.attention_trial import IN_USE, RESTART_LABELS, TRIAL_LABELS
 from mapt.rewards.checkpoints import (
     POLARITY,
@@ -48,6 +48,7 @@ from mapt.rewards.data import (
 )
 from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.model import RewardModel
+from mapt.rewards.parallel import TrainingJob, train_in_processes
 from mapt.rewards.stage_trainer import TrainProgress
 from mapt.rewards.trainer import train_reward_model
 
@@ -166,14 +167,17 @@ def train_reward_ensemble(
     earlier = {} if initial is None else initial.metrics
     shared = _Shared(train, hold_out, config, train_config, reference, earlier)
     jobs = [
-        _Job(i, int(seed), None if initial is None else save_reward_model(initial.members[i], {}))
+        TrainingJob.of(i, int(seed), None if initial is None else initial.members[i])
         for i, seed in enumerate(np.random.SeedSequence(train_config.seed).generate_state(members))
     ]
     report = _TotalProgress(progress)
     if workers == 1 or members == 1:
         trained = [_train_member(shared, job, report, stop) for job in jobs]
     else:
-        trained = _train_in_processes(shared, jobs, workers, report, stop)
+        train_in_process, never = partial(_train_member_in_process, shared), lambda: False
+        finished = train_in_processes(train_in_process, jobs, workers, progress=report, stop=stop or never)
+        # After a stop, members whose training never started have their initial weights.
+        trained = [finished.get(job.number) or _train_member(shared, job, stop=lambda: True) for job in jobs]
     models = [load_reward_model(saved.weights, saved.card) for saved in trained]
     metrics = {
         name: float(np.mean([each.metrics[name] for each in models]))
@@ -208,18 +212,9 @@ class _Shared:
     initial_metrics: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """One member's training."""
-
-    member: int
-    seed: int
-    initial: SavedRewardModel | None
-
-
 def _train_member(
     shared: _Shared,
-    job: _Job,
+    job: TrainingJob,
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> SavedRewardModel:
@@ -229,7 +224,7 @@ def _train_member(
         shared.config,
         # Members serve to score pairs: one fold decides about their attention, instead of a trial each over all folds.
         replace(shared.train_config, seed=job.seed, trial_folds=1, networks=1),
-        initial=None if job.initial is None else load_reward_model(job.initial.weights, job.initial.card).model,
+        initial=job.initial_model(),
         initial_metrics=shared.initial_metrics,
         hold_out=shared.hold_out,
         reference=shared.reference,
@@ -239,29 +234,7 @@ def _train_member(
     return save_reward_model(trained.model, trained.metrics)
 
 
-def _train_in_processes(
-    shared: _Shared,
-    jobs: Sequence[_Job],
-    workers: int,
-    progress: Callable[[TrainProgress], None],
-    stop: Callable[[], bool] | None,
-) -> list[SavedRewardModel]:
-    trained: dict[int, SavedRewardModel] = {}
-    for done in run_jobs(
-        partial(_train_in_process, shared),
-        jobs,
-        workers,
-        on_message=lambda job, at: progress(at),
-        should_stop=stop or (lambda: False),
-    ):
-        if done.result is None:
-            raise MemberTrainingFailed(done.job.member, done.failure or "")
-        trained[done.job.member] = done.result
-    # After a stop, members whose training never started have their initial weights.
-    return [trained.get(job.member) or _train_member(shared, job, stop=lambda: True) for job in jobs]
-
-
-def _train_in_process(shared: _Shared, job: _Job, parent: ParentConnection) -> SavedRewardModel:
+def _train_member_in_process(shared: _Shared, job: TrainingJob, parent: ParentConnection) -> SavedRewardModel:
     return _train_member(shared, job, parent.send, parent.cancelled)
 
 

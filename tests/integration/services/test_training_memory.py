@@ -12,9 +12,9 @@ import pytest
 from accord.domain.errors import InvalidExperiment
 from accord.services import training_memory
 from accord.services.experiment_config import ExperimentConfig
-from accord.services.training_memory import machine_bytes, require_fits
+from accord.services.training_memory import MemoryLimit, machine_bytes, require_fits
 from mapt.rewards.relabelling import AGENT_STEPS_PER_PASS
-from mapt.rewards.trainer import ACTIVATIONS_PER_PASS
+from mapt.rewards.stage_trainer import ACTIVATIONS_PER_PASS
 from mapt.tasks import task_spec
 from support.waiting import PATIENCE_SECONDS
 
@@ -69,8 +69,28 @@ def test_passes_are_as_large_as_those_of_the_library() -> None:
 
 def test_default_experiment_fits_in_two_gigabytes() -> None:
     for algorithm in ("mappo", "happo", "mat", "mat_dec"):
-        require_fits(ExperimentConfig(TASK, policy={"algorithm": algorithm}), SPEC, 2 * 10**9)
+        require_fits(ExperimentConfig(TASK, policy={"algorithm": algorithm}), SPEC, MemoryLimit(2 * 10**9))
     assert machine_bytes() > 10**9
+
+
+@pytest.mark.parametrize(
+    ("settings", "processes"),
+    [
+        ({"reward_model": "MA-MLP"}, 1),  # a single network
+        ({}, 5),  # after the first network the four others, side by side
+        ({"reward_model": "MA-MLP", "query_selection": "entropy", "ensemble_members": 3}, 4),
+    ],
+)
+def test_processes_that_train_at_the_same_time_count(settings: dict[str, Any], processes: int) -> None:
+    config = ExperimentConfig.from_dict({"task": TASK} | settings)
+    one, many = (training_memory.training_memory(config, SPEC, limit) for limit in (1, 16))
+    assert (one.reward_processes, many.reward_processes) == (1, processes)
+    further = (processes - 1) * (many.reward_bytes + training_memory.PROCESS_BYTES)
+    assert many.total_bytes == one.total_bytes + further
+    if further:
+        with pytest.raises(InvalidExperiment, match="GB of memory"):
+            require_fits(config, SPEC, MemoryLimit(one.total_bytes, reward_processes=16))
+    require_fits(config, SPEC, MemoryLimit(one.total_bytes))
 
 
 @pytest.mark.parametrize(
@@ -86,5 +106,5 @@ def test_default_experiment_fits_in_two_gigabytes() -> None:
 def test_error_for_a_training_that_does_not_fit_names_the_setting(settings: dict[str, Any], field: str) -> None:
     config = ExperimentConfig.from_dict({"task": TASK} | settings)
     with pytest.raises(InvalidExperiment, match=r"\d GB of memory; the limit is 16.0 GB") as raised:
-        require_fits(config, SPEC, 16 * 10**9)
+        require_fits(config, SPEC, MemoryLimit(16 * 10**9))
     assert raised.value.field == field

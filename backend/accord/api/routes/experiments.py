@@ -15,6 +15,7 @@ from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import access, audit, costs, deletion, experiments, metrics, publish, workers
 from accord.services.experiment_config import read_config
+from accord.services.training_memory import MemoryLimit
 from accord.services.validation import check_line
 from accord.store.tables import ExperimentRow
 
@@ -38,7 +39,7 @@ def create_experiment(
     body: schemas.NewExperiment, auth: AuthDep, idempotency_key: IdempotencyKey = None
 ) -> schemas.Experiment:
     """Starts an experiment when a policy worker is free. For researchers and admins."""
-    config = read_config(body.settings)
+    config, settings = read_config(body.settings), auth.app.settings
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "start experiments")
         row = experiments.created_by(caller.session, caller.user.id, idempotency_key, body.name)
@@ -49,7 +50,7 @@ def create_experiment(
                 body.name,
                 config,
                 body.instructions,
-                memory_limit_bytes=auth.app.settings.max_training_bytes,
+                memory=MemoryLimit(settings.max_training_bytes, settings.reward_processes),
                 creation_key=idempotency_key,
             )
             audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CREATED, row.id, name=row.name)

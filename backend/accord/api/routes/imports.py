@@ -19,6 +19,7 @@ from accord.domain.errors import BodyTooLarge, Invalid
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import audit, experiments, importing
 from accord.services.importing import ImportFormat
+from accord.services.training_memory import MemoryLimit
 from mapt.errors import PreferenceError
 from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 
@@ -118,9 +119,8 @@ def _import(auth: Auth, upload: Path, wanted: _Wanted) -> schemas.Experiment:
     try:
         with importing.storing(auth.app.blobs, source, task=wanted.task) as found, auth.writing() as caller:
             require(may_run_experiments(caller.role), caller.role, "import experiments")
-            importing.create(
-                caller.session, caller.user.id, wanted.name, found, settings.max_training_bytes, wanted.key
-            )
+            memory = MemoryLimit(settings.max_training_bytes, settings.reward_processes)
+            importing.create(caller.session, caller.user.id, wanted.name, found, memory, wanted.key)
             row = experiments.get(caller.session, found.experiment_id)
             audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_IMPORTED, row.id, name=row.name)
             return responses.experiment_response(caller.session, row, caller.role)

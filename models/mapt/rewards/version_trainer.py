@@ -1,0 +1,372 @@
+"""Trains the networks of one reward version, and decides whether its attention path is used.
+
+`stage_trainer.py` has the training loop, `schedule.py` plans the stages, `attention_trial.py` judges the trial.
+"""
+
+import copy
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mapt.device import resolve_device, seeded
+from mapt.preferences.dataset import BoolArray, PreferenceDataset
+from mapt.processes import ParentConnection
+from mapt.rewards import attention_trial
+from mapt.rewards.attention_trial import RESTART_LABELS, AttentionTrial, cross_selected
+from mapt.rewards.checkpoints import SavedRewardModel, load_reward_model, save_reward_model
+from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.data import (
+    MarkovScorer,
+    PairTensors,
+    SegmentReader,
+    evenly_spaced_sample,
+    network_scorer,
+    network_training_scorer,
+    segment_reader,
+)
+from mapt.rewards.kernels import resolve_precision
+from mapt.rewards.metrics import calibrated_losses
+from mapt.rewards.model import RewardModel, RewardNetwork
+from mapt.rewards.parallel import TrainingJob, train_in_processes
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.schedule import (
+    is_reliable,
+    is_significant,
+    markov_stage,
+    n_networks,
+    network_stage,
+    replaces,
+    start_weights,
+)
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, pairs_per_pass
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Pairs to train on, and pairs to evaluate on."""
+
+    train: PairTensors
+    hold_out: PairTensors
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether the hold-out is large enough to compare weights by."""
+        return is_reliable(len(self.hold_out))
+
+    @property
+    def evaluated(self) -> PairTensors:
+        """The pairs that weights are compared by."""
+        return self.hold_out if self.is_reliable else self.train
+
+
+@dataclass(frozen=True, slots=True)
+class VersionData:
+    """What a process needs to train a network of a version; see `VersionTrainer`."""
+
+    config: RewardConfig
+    train_config: TrainConfig
+    pairs: PreferenceDataset
+    held_out: BoolArray
+
+
+class VersionTrainer:
+    """Trains the networks of one version, those of the trial of its attention path among them.
+
+    Args:
+        pairs: all labelled pairs.
+        held_out: bool (P,), those of the version's hold-out.
+        workers: processes that train networks at the same time; 1 trains them in this process.
+    """
+
+    def __init__(
+        self,
+        config: RewardConfig,
+        train_config: TrainConfig,
+        segments: SegmentReader,
+        log: TrainingLog,
+        *,
+        pairs: PreferenceDataset,
+        held_out: BoolArray,
+        workers: int = 1,
+    ) -> None:
+        self._config, self._settings, self._segments, self._log = config, train_config, segments, log
+        self._pairs, self._held_out, self._workers = pairs, held_out, workers
+        self._dtype = resolve_precision(train_config.precision, config.hidden_dim, segments.device)
+        self._sample = segments.take(evenly_spaced_sample(segments)).inputs
+        self._used = torch.as_tensor(np.unique(pairs.pairs), device=segments.device)
+        self._n_networks = n_networks(train_config, len(pairs))
+        #: the version's hold-out, and the pairs outside it in equal parts
+        self.folds = [self._fold(held_out), *self._more_folds(held_out)]
+        self._first = self.folds[0]
+        # Whole networks that a trial trained on the folds after the first.
+        self._tried = list[RewardNetwork]()
+        # Whether the whole network continued from a trained one, and whether it was trained from untrained weights.
+        self._warm = self._restarted = False
+
+    def train(
+        self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
+    ) -> tuple[list[RewardNetwork], AttentionTrial | None]:
+        """The version's networks, continued from `initial` or from scratch, and the trial or review if it had one."""
+        first, trial = self._first_network(initial, initial_metrics)
+        if first.is_markov or not self._first.is_reliable:
+            return [first], trial
+        networks = [first, *self._further_networks(initial)]
+        due = attention_trial.is_due(len(self._pairs), initial_metrics, self._settings.trial_growth)
+        if self._config.markov_path and trial is None and due:
+            return self._review(networks)
+        return networks, trial
+
+    def _first_network(
+        self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
+    ) -> tuple[RewardNetwork, AttentionTrial | None]:
+        """The network of the first fold, and its trial if it had one."""
+        if initial is None:
+            model = self._new_model()
+            losses = self._train_markov(model, self._first)
+            if not self._config.markov_path:
+                self._train_network(model, self._first)
+        else:
+            model = self._copied(initial.networks[0])
+            if (restarted := self._restart(model, initial, initial_metrics)) is not None:
+                return restarted, None
+            losses = self._continue(model, self._first)
+        if not self._should_try(model, losses, initial_metrics):
+            return model, None
+        accepted, trial = self._try_attention(losses)
+        return accepted or model, trial
+
+    def _further_networks(self, initial: RewardModel | None) -> list[RewardNetwork]:
+        """Whole networks of the folds after the first; fewer if stopped.
+
+        Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
+        than each of them (docs/results.md, "The mean of networks").
+        """
+        count = min(self._n_networks, len(self.folds)) - 1
+        networks = self._tried[:count]
+        folds = range(len(networks) + 1, count + 1)
+        seeds = [np.random.SeedSequence([self._settings.seed, fold]).generate_state(1) for fold in folds]
+        # A network continues from the one of its fold; a version with fewer of them is not continued (`_restart`).
+        continued = initial.networks if initial is not None and self._warm else None
+        jobs = [
+            TrainingJob.of(fold, int(seed[0]), None if continued is None else continued[fold])
+            for fold, seed in zip(folds, seeds, strict=True)
+        ]
+        if self._workers > 1 and len(jobs) > 1:
+            return networks + self._train_in_processes(jobs)
+        for job in jobs:
+            network = self.further_network(job)
+            if self._log.stopped:
+                break
+            networks.append(network)
+        return networks
+
+    def further_network(self, job: TrainingJob) -> RewardNetwork:
+        """The whole network of a fold after the first. It does not depend on the process that trains it."""
+        fold, initial = self.folds[job.number], job.initial_model()
+        with seeded(job.seed, self._segments.device):
+            if initial is None:
+                model = self._new_model()
+                self._train_network(model, fold)
+            else:
+                model = self._copied(initial.networks[0])
+                self._continue(model, fold)
+        return model
+
+    def _train_in_processes(self, jobs: Sequence[TrainingJob]) -> list[RewardNetwork]:
+        """The networks of `jobs`, in order; none if stopped."""
+        trained = train_in_processes(
+            partial(_train_network, VersionData(self._config, self._settings, self._pairs, self._held_out)),
+            jobs,
+            self._workers,
+            progress=lambda at: self._log.add(at.loss, at.holdout_loss, at.holdout_accuracy),
+            stop=self._log.should_stop,
+        )
+        if self._log.stopped:
+            return []
+        saved = [trained[job.number] for job in jobs]
+        networks = [load_reward_model(each.weights, each.card).model.networks[0] for each in saved]
+        return [network.to(self._segments.device) for network in networks]
+
+    def _review(self, networks: list[RewardNetwork]) -> tuple[list[RewardNetwork], AttentionTrial | None]:
+        """`networks`, or a Markov path alone if they predict held-out pairs no better; and the review.
+
+        A trial on a hundred labels accepts attention by chance now and then, and with it a version takes ten times as
+        long. Until the gain is clear, a Markov path is trained from scratch on the pairs of each network.
+        """
+        started, gains, paths = self._log.seconds, list[Tensor](), list[RewardNetwork]()
+        accepted = True
+        for fold, network in zip(self.folds, networks, strict=False):
+            paths.append(self._new_model())
+            losses = self._train_markov(paths[-1], fold)
+            if self._log.stopped:
+                return networks, None
+            gains.append(losses - self._losses(network, fold))
+            accepted = self._can_gain(losses, fold) and not attention_trial.is_futile(torch.cat(gains))
+            if attention_trial.is_clear(torch.cat(gains)):
+                break
+        review = AttentionTrial(accepted, torch.cat(gains), len(self._pairs), self._log.seconds - started)
+        return (networks if accepted else paths[:1]), review
+
+    @staticmethod
+    def _can_gain(losses: Tensor, fold: Fold) -> bool:
+        """Whether a Markov path with these losses on a fold's evaluated pairs leaves attention something to gain."""
+        return losses.mean().item() - fold.evaluated.irreducible_loss >= attention_trial.MIN_MARKOV_LOSS
+
+    def _restart(
+        self, model: RewardNetwork, initial: RewardModel, metrics: Mapping[str, float | None] | None
+    ) -> RewardNetwork | None:
+        """The whole network trained from untrained weights; None if not due, or significantly worse than `model`.
+
+        Trained further and further, a network keeps what it learned from its first few labels. That the new one is
+        slightly worse on a few dozen pairs is mostly chance, and the earlier one would learn nothing from new labels.
+        """
+        if model.is_markov or not self._first.is_reliable:
+            return None
+        # Of a version with fewer networks, for example of a time when there were fewer folds, not all can continue.
+        incomplete = len(initial.networks) < min(self._n_networks, len(self.folds))
+        due = attention_trial.is_due(len(self._pairs), metrics, self._settings.restart_growth, RESTART_LABELS)
+        if not (incomplete or due):
+            return None
+        fresh = self._new_model()
+        self._train_network(fresh, self._first)
+        if incomplete:
+            return fresh
+        return None if is_significant(self._losses(fresh) - self._losses(model)) else fresh
+
+    def restarted_on(self, initial_metrics: Mapping[str, float | None] | None) -> float:
+        """Labels when the whole network was last trained from untrained weights; NaN if that is unknown."""
+        earlier = (initial_metrics or {}).get(RESTART_LABELS)
+        return float(len(self._pairs)) if self._restarted else math.nan if earlier is None else earlier
+
+    def _continue(self, model: RewardNetwork, fold: Fold) -> Tensor:
+        """Train a network further, unless the result is worse; returns its loss on each evaluated pair."""
+        was_markov, weights, before = model.is_markov, copy.deepcopy(model.state_dict()), self._losses(model, fold)
+        # Beside attention, new weights in the Markov path would only disturb it.
+        train = self._train_markov if was_markov else self._train_network
+        losses = train(model, fold, warm=True)
+        if replaces(before, self._losses(model, fold), markov=was_markov):
+            return losses
+        model.load_state_dict(weights)
+        return before
+
+    def _should_try(
+        self, model: RewardNetwork, losses: Tensor, initial_metrics: Mapping[str, float | None] | None
+    ) -> bool:
+        has_attention = self._config.architecture != "mlp"
+        return (
+            has_attention
+            and model.is_markov
+            and not self._log.stopped
+            and self._first.is_reliable
+            and self._can_gain(losses, self._first)
+            and attention_trial.is_due(len(self._pairs), initial_metrics, self._settings.trial_growth)
+        )
+
+    def _try_attention(self, losses: Tensor) -> tuple[RewardNetwork | None, AttentionTrial | None]:
+        """The version's whole network if a trial accepts it, and the trial; None for a trial that was stopped.
+
+        Args:
+            losses: of the version's Markov path on each pair of its hold-out.
+        """
+        started, gains, accepted = self._log.seconds, list[Tensor](), None
+        for number, fold in enumerate(self.folds, 1):
+            if number > 1:
+                losses = self._train_markov(self._new_model(), fold)
+            model = self._new_model()
+            network_losses = self._train_network(model, fold)
+            if self._log.stopped:
+                return None, None
+            self._tried.append(model)
+            gains.append(losses - network_losses)
+            accepted = attention_trial.verdict(torch.cat(gains), is_last=number == len(self.folds))
+            if accepted is not None:
+                break
+        trial = AttentionTrial(bool(accepted), torch.cat(gains), len(self._pairs), self._log.seconds - started)
+        return (self._tried.pop(0) if accepted else None), trial
+
+    def _more_folds(self, held_out: BoolArray) -> Iterator[Fold]:
+        """The folds after the first: the pairs outside its hold-out, in equal parts."""
+        n_folds = self._settings.trial_folds - 1
+        folds = self._pairs.folds(n_folds, self._settings.seed) if n_folds else np.empty(0, np.int64)
+        for number in range(n_folds):
+            fold = self._fold(~held_out & (folds == number))
+            if fold.is_reliable:
+                yield fold
+
+    def _fold(self, held_out: BoolArray) -> Fold:
+        train, hold_out = self._pairs.separate(held_out)
+        device = self._segments.device
+        return Fold(PairTensors.of(train, device), PairTensors.of(hold_out, device))
+
+    def _copied(self, initial: RewardNetwork) -> RewardNetwork:
+        """A copy of `initial` for further training."""
+        model = copy.deepcopy(initial).to(self._segments.device)
+        model.fit_normalisers(*self._sample, keep_function=True)
+        return model.eval()
+
+    def _new_model(self) -> RewardNetwork:
+        model = build_reward_model(self._config).to(self._segments.device)
+        model.fit_normalisers(*self._sample, keep_function=False)
+        return model.eval()
+
+    def _train_markov(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
+        """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select."""
+        stage = markov_stage(self._settings, len(fold.train), warm=warm)
+        if stage is None or model.markov is None:
+            return self._losses(model, fold)
+        scorer = MarkovScorer(model, self._segments, self._used)
+        run = Stage(
+            stage,
+            list(model.markov.parameters()),
+            scorer,
+            scorer.training_scores,
+            start=start_weights(stage, model),
+        )
+        losses = self._trainer(model, fold).run(run)
+        return cross_selected((losses.before, *losses.epochs))
+
+    def _train_network(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
+        """Train the whole network; returns its loss on each evaluated pair."""
+        if self._log.stopped:
+            return self._losses(model, fold)
+        losses = self._trainer(model, fold).run(self._network_stage(model, len(fold.train), warm=warm))
+        if fold is self._first:
+            self._warm, self._restarted = warm, self._restarted or not warm
+        return cross_selected(losses.epochs or (losses.before,))
+
+    def _network_stage(self, model: RewardNetwork, n_pairs: int, *, warm: bool) -> Stage:
+        settings = network_stage(self._settings, self._config, n_pairs, warm=warm)
+        return Stage(
+            settings,
+            list(model.parameters()),
+            network_scorer(self._segments, self._dtype),
+            network_training_scorer(self._segments, self._dtype),
+            start=start_weights(settings, model),
+            pairs_per_pass=pairs_per_pass(self._config, self._segments),
+        )
+
+    def _trainer(self, model: RewardNetwork, fold: Fold) -> RewardTrainer:
+        return RewardTrainer(model, fold.train, fold.hold_out, seed=self._settings.seed, log=self._log)
+
+    def _losses(self, model: RewardModel, fold: Fold | None = None) -> Tensor:
+        """The calibrated loss of each evaluated pair (P,)."""
+        evaluated = (fold or self._first).evaluated
+        logits = evaluated.logits(model.eval(), network_scorer(self._segments, self._dtype))
+        return calibrated_losses(logits, evaluated.labels, self._settings.label_noise, evaluated.weights)
+
+
+def _train_network(data: VersionData, job: TrainingJob, parent: ParentConnection) -> SavedRewardModel:
+    trainer = VersionTrainer(
+        data.config,
+        data.train_config,
+        segment_reader(data.pairs.segments, resolve_device(data.train_config.device)),
+        TrainingLog(parent.send, parent.cancelled),
+        pairs=data.pairs,
+        held_out=data.held_out,
+    )
+    return save_reward_model(trainer.further_network(job), {})
