@@ -250,7 +250,7 @@ def train_reward(
     with _progress(f"{model}, {len(data)} labels", train.markov_epochs + train.max_epochs, progress) as show:
 
         def report(at: TrainProgress) -> None:
-            show(at.epoch, f"hold-out accuracy {at.holdout_accuracy:.1%}")
+            show(at.epoch, f"{at.part}, hold-out accuracy {at.holdout_accuracy:.1%}")
 
         trained = train_reward_model(data.dataset, config, train, progress=report)
     trained_by = provenance(str(resolve_device(device)), torch.get_num_threads())

@@ -254,7 +254,7 @@ class RewardWorker:
     def _reporter(self, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
         """Shows the progress of a training in the worker's row."""
         return lambda at: self._context.heartbeat.set_state(
-            WorkerState.WORKING, f"Training {what} on {n_labels} labels, epoch {at.epoch}."
+            WorkerState.WORKING, f"Training {what} on {n_labels} labels: {at.part}, epoch {at.epoch}."
         )
 
     def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:

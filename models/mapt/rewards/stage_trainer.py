@@ -39,6 +39,8 @@ ACTIVATIONS_PER_PASS = 1 << 20
 class TrainProgress:
     """The state of a training after an epoch."""
 
+    #: what is being trained, such as "trial of attention, fold 2 of at most 5"
+    part: str
     #: from 1, over all stages
     epoch: int
     #: mean over the epoch's steps, nats
@@ -62,6 +64,8 @@ class TrainingLog:
         self._progress, self._stop = progress, stop
         self._started = time.perf_counter()
         self.history: list[TrainProgress] = []
+        #: of the epochs to come; see `TrainProgress.part`
+        self.part = "reward network"
         self.stopped = False
 
     @property
@@ -77,7 +81,7 @@ class TrainingLog:
     def add(self, train_loss: float, holdout_loss: float, holdout_accuracy: float) -> None:
         """Record an epoch and report it."""
         epoch = len(self.history) + 1
-        at = TrainProgress(epoch, train_loss, holdout_loss, holdout_accuracy, self.seconds)
+        at = TrainProgress(self.part, epoch, train_loss, holdout_loss, holdout_accuracy, self.seconds)
         self.history.append(at)
         if self._progress is not None:
             self._progress(at)

@@ -43,7 +43,7 @@ from mapt.rewards.schedule import (
     replaces,
     start_weights,
 )
-from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, pairs_per_pass
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, TrainProgress, pairs_per_pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +99,11 @@ class VersionTrainer:
         self._dtype = resolve_precision(train_config.precision, config.hidden_dim, segments.device)
         self._sample = segments.take(evenly_spaced_sample(segments)).inputs
         self._used = torch.as_tensor(np.unique(pairs.pairs), device=segments.device)
-        self._n_networks = n_networks(train_config, len(pairs))
         #: the version's hold-out, and the pairs outside it in equal parts
         self.folds = [self._fold(held_out), *self._more_folds(held_out)]
         self._first = self.folds[0]
+        # Networks of a version whose attention is in use.
+        self._network_count = min(n_networks(train_config, len(pairs)), len(self.folds))
         # Whole networks that a trial trained on the folds after the first.
         self._tried = list[RewardNetwork]()
         # Whether the whole network continued from a trained one, and whether it was trained from untrained weights.
@@ -125,6 +126,8 @@ class VersionTrainer:
         self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
     ) -> tuple[RewardNetwork, AttentionTrial | None]:
         """The network of the first fold, and its trial if it had one."""
+        is_markov = self._config.markov_path and (initial is None or initial.networks[0].is_markov)
+        self._log.part = "Markov path" if is_markov else self._network_name(0)
         if initial is None:
             model = self._new_model()
             losses = self._train_markov(model, self._first)
@@ -146,9 +149,8 @@ class VersionTrainer:
         Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
         than each of them (docs/results.md, "The mean of networks").
         """
-        count = min(self._n_networks, len(self.folds)) - 1
-        networks = self._tried[:count]
-        folds = range(len(networks) + 1, count + 1)
+        networks = self._tried[: self._network_count - 1]
+        folds = range(len(networks) + 1, self._network_count)
         seeds = [np.random.SeedSequence([self._settings.seed, fold]).generate_state(1) for fold in folds]
         # A network continues from the one of its fold; a version with fewer of them is not continued (`_restart`).
         continued = initial.networks if initial is not None and self._warm else None
@@ -168,6 +170,7 @@ class VersionTrainer:
     def further_network(self, job: TrainingJob) -> RewardNetwork:
         """The whole network of a fold after the first. It does not depend on the process that trains it."""
         fold, initial = self.folds[job.number], job.initial_model()
+        self._log.part = self._network_name(job.number)
         with seeded(job.seed, self._segments.device):
             if initial is None:
                 model = self._new_model()
@@ -183,7 +186,7 @@ class VersionTrainer:
             partial(_train_network, VersionData(self._config, self._settings, self._pairs, self._held_out)),
             jobs,
             self._workers,
-            progress=lambda at: self._log.add(at.loss, at.holdout_loss, at.holdout_accuracy),
+            progress=self._log_epoch,
             stop=self._log.should_stop,
         )
         if self._log.stopped:
@@ -191,6 +194,14 @@ class VersionTrainer:
         saved = [trained[job.number] for job in jobs]
         networks = [load_reward_model(each.weights, each.card).model.networks[0] for each in saved]
         return [network.to(self._segments.device) for network in networks]
+
+    def _network_name(self, fold: int) -> str:
+        return f"network {fold + 1} of {self._network_count}"
+
+    def _log_epoch(self, at: TrainProgress) -> None:
+        """Record an epoch of another process."""
+        self._log.part = at.part
+        self._log.add(at.loss, at.holdout_loss, at.holdout_accuracy)
 
     def _review(self, networks: list[RewardNetwork]) -> tuple[list[RewardNetwork], AttentionTrial | None]:
         """`networks`, or a Markov path alone if they predict held-out pairs no better; and the review.
@@ -200,7 +211,8 @@ class VersionTrainer:
         """
         started, gains, paths = self._log.seconds, list[Tensor](), list[RewardNetwork]()
         accepted = True
-        for fold, network in zip(self.folds, networks, strict=False):
+        for number, (fold, network) in enumerate(zip(self.folds, networks, strict=False), 1):
+            self._log.part = f"review of attention, fold {number} of at most {len(networks)}"
             paths.append(self._new_model())
             losses = self._train_markov(paths[-1], fold)
             if self._log.stopped:
@@ -228,7 +240,7 @@ class VersionTrainer:
         if model.is_markov or not self._first.is_reliable:
             return None
         # Of a version with fewer networks, for example of a time when there were fewer folds, not all can continue.
-        incomplete = len(initial.networks) < min(self._n_networks, len(self.folds))
+        incomplete = len(initial.networks) < self._network_count
         due = attention_trial.is_due(len(self._pairs), metrics, self._settings.restart_growth, RESTART_LABELS)
         if not (incomplete or due):
             return None
@@ -275,6 +287,7 @@ class VersionTrainer:
         """
         started, gains, accepted = self._log.seconds, list[Tensor](), None
         for number, fold in enumerate(self.folds, 1):
+            self._log.part = f"trial of attention, fold {number} of at most {len(self.folds)}"
             if number > 1:
                 losses = self._train_markov(self._new_model(), fold)
             model = self._new_model()

@@ -397,6 +397,12 @@ def accepted(monkeypatch, n_pairs=80):
     return trained
 
 
+def test_progress_names_what_is_trained(monkeypatch):
+    parts = list(dict.fromkeys(at.part for at in accepted(monkeypatch).history))
+    assert parts[:2] == ["Markov path", "trial of attention, fold 1 of at most 5"]
+    assert parts[2:] == [f"network {number} of 5" for number in range(2, 6)]
+
+
 def test_a_network_without_attention_does_not_report_it():
     config = replace(CONFIG, architecture="lstm", temporal="lstm", markov_path=False)
     assert "attention" not in train_reward_model(preferences(40), config, QUICK).metrics
@@ -521,11 +527,14 @@ def test_networks_trained_in_processes_equal_those_of_one_process(monkeypatch, n
                 initial=first.model,
                 initial_metrics=first.metrics,
                 workers=workers,
-                progress=lambda at: epochs.append(at.epoch),
+                progress=epochs.append,
             )
             for workers in (1, 2)
         )
     assert alone.metrics["networks"] == 3
+    parts = [[at.part for at in trained.history] for trained in (alone, side_by_side)]
+    assert sorted(parts[0]) == sorted(parts[1])
+    assert list(dict.fromkeys(parts[0])) == [f"network {number} of 3" for number in (1, 2, 3)]
     assert same_weights(alone.model, side_by_side.model)
     assert side_by_side.metrics["epochs"] == alone.metrics["epochs"] == len(epochs) / 2
 
