@@ -151,12 +151,10 @@ class VersionTrainer:
         """
         networks = self._tried[: self._network_count - 1]
         folds = range(len(networks) + 1, self._network_count)
-        seeds = [np.random.SeedSequence([self._settings.seed, fold]).generate_state(1) for fold in folds]
         # A network continues from the one of its fold; a version with fewer of them is not continued (`_restart`).
         continued = initial.networks if initial is not None and self._warm else None
         jobs = [
-            TrainingJob.of(fold, int(seed[0]), None if continued is None else continued[fold])
-            for fold, seed in zip(folds, seeds, strict=True)
+            TrainingJob.of(fold, self._seed_of(fold), None if continued is None else continued[fold]) for fold in folds
         ]
         if self._workers > 1 and len(jobs) > 1:
             return networks + self._train_in_processes(jobs)
@@ -183,7 +181,7 @@ class VersionTrainer:
     def _train_in_processes(self, jobs: Sequence[TrainingJob]) -> list[RewardNetwork]:
         """The networks of `jobs`, in order; none if stopped."""
         trained = train_in_processes(
-            partial(_train_network, VersionData(self._config, self._settings, self._pairs, self._held_out)),
+            partial(_train_network_in_process, VersionData(self._config, self._settings, self._pairs, self._held_out)),
             jobs,
             self._workers,
             progress=self._log_epoch,
@@ -194,6 +192,9 @@ class VersionTrainer:
         saved = [trained[job.number] for job in jobs]
         networks = [load_reward_model(each.weights, each.card).model.networks[0] for each in saved]
         return [network.to(self._segments.device) for network in networks]
+
+    def _seed_of(self, fold: int) -> int:
+        return int(np.random.SeedSequence([self._settings.seed, fold]).generate_state(1)[0])
 
     def _network_name(self, fold: int) -> str:
         return f"network {fold + 1} of {self._network_count}"
@@ -373,7 +374,7 @@ class VersionTrainer:
         return calibrated_losses(logits, evaluated.labels, self._settings.label_noise, evaluated.weights)
 
 
-def _train_network(data: VersionData, job: TrainingJob, parent: ParentConnection) -> SavedRewardModel:
+def _train_network_in_process(data: VersionData, job: TrainingJob, parent: ParentConnection) -> SavedRewardModel:
     trainer = VersionTrainer(
         data.config,
         data.train_config,

@@ -28,7 +28,7 @@ def test_last_verdict_needs_two_standard_errors():
     [(0.008, False, False), (0.015, False, None), (0.018, True, False), (0.018, False, None), (0.025, False, True)],
 )
 def test_a_gain_that_is_too_small_to_matter_is_rejected(mean, is_last, expected):
-    # The standard error of 10,001 gains of +0.6 and -0.6 around the mean is 0.006: it is certain, and small.
+    # The standard error of 10,001 gains of +0.6 and -0.6 around the mean is 0.006.
     gains = mean + 0.6 * torch.tensor([1.0, -1.0] * 5000 + [0.0])
     assert verdict(gains, is_last=is_last) is expected
 
