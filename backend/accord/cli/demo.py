@@ -49,6 +49,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, out, print_json, print_paths
 from mapt.io import atomic_write
+from mapt.preferences.selection import selector_names
 from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
@@ -82,6 +83,12 @@ def demo(
     labels_per_version: Annotated[
         int | None, typer.Option(min=1, help="New labels for each further reward version.  [default: a tenth]")
     ] = None,
+    query_selection: Annotated[
+        str,
+        typer.Option(
+            help=f"How the pairs to label are chosen, after a uniform first round: {', '.join(selector_names())}.",
+        ),
+    ] = "recent",
     workers: Workers = 0,
     home: Annotated[
         Path | None, typer.Option(help="Folder of the demo's own service.  [default: home, in the output folder]")
@@ -108,6 +115,7 @@ def demo(
         initial_labels=initial_labels,
         labels_per_version=labels_per_version,
         render_clips=clips,
+        query_selection=query_selection,
         answer_scale="five" if choice.teacher(0).bpref.slight else "three",
         baseline=baseline,
         # Experiments of the default algorithm do not name it.

@@ -75,6 +75,8 @@ class RunPlan:
     reward_model: str = "MAPT"
     reward_preset: str = "small"
     answer_scale: str = "three"
+    #: how pairs are chosen
+    query_selection: str = "recent"
     #: Runs are repeatable only if the policy waits for each reward version.
     pacing: str = "wait"
     #: policy settings that differ from the defaults
@@ -132,6 +134,8 @@ class Grid:
     render_clips: bool = False
     #: `five` for a teacher that also prefers slightly
     answer_scale: str = "three"
+    #: how pairs are chosen
+    query_selection: str = "recent"
     #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -145,11 +149,12 @@ class Grid:
         return [plan for seed in self.seeds for plan in self._of_seed(seed, teacher)]
 
     def _of_seed(self, seed: int, teacher: str) -> list[RunPlan]:
-        # Not in the name of the default size, so that a demo of an earlier version can be resumed.
+        # Defaults are not in the names, so that a demo of an earlier version can be resumed.
         size = "" if self.reward_preset == "small" else f" of size {self.reward_preset}"
+        pairs = "" if self.query_selection == "recent" else f", {self.query_selection} pairs"
         learned = [
             self._plan(
-                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}",
+                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}",
                 seed,
                 PREFERENCES,
                 label_budget=labels,
@@ -159,6 +164,7 @@ class Grid:
                 reward_model=model,
                 reward_preset=self.reward_preset,
                 answer_scale=self.answer_scale,
+                query_selection=self.query_selection,
             )
             for labels in self.labels
             for model in self.reward_models

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from accord.api.schemas import Experiment
 from accord.cli.demo import demo, rows_of, score_table, table, write_results
-from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, write_metrics
+from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, check_plans, write_metrics
 from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
 from accord.domain.errors import Invalid, InvalidExperiment, UnknownTask
@@ -134,6 +134,24 @@ def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
     assert small.name != paper.name
     settings = [each.settings(TeacherChoice()) for each in (small, paper)]
     assert settings[1].differences(settings[0]) == ["reward.preset: paper, not small"]
+
+
+def test_pairs_chosen_in_another_way_have_other_experiments():
+    recent, uniform = (
+        Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), query_selection=selection, baseline=False).plans(
+            "oracle"
+        )[0]
+        for selection in ("recent", "uniform")
+    )
+    assert recent.name != uniform.name
+    assert uniform.differences(asdict(recent)) == ["query_selection is 'recent', not 'uniform'"]
+    check_plans([recent, uniform], TeacherChoice().teacher(0))
+
+
+def test_an_unknown_way_to_choose_pairs_is_refused_before_a_service_starts():
+    plans = Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), query_selection="newest").plans("oracle")
+    with pytest.raises(InvalidExperiment, match="'newest'; it must be one of uniform, recent"):
+        check_plans(plans, TeacherChoice().teacher(0))
 
 
 def test_a_run_that_exists_with_other_settings_is_refused():
