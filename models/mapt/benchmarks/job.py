@@ -78,14 +78,19 @@ class CellSettings:
     def to_dict(self) -> dict[str, object]:
         """Plain values for JSON."""
         # With their defaults, fields that were added later are left out, so that a cell keeps its key.
-        added = {"earlier": (), "pair_distance": ALL_SEGMENTS}
-        return {name: value for name, value in asdict(self).items() if name not in added or value != added[name]}
+        values = _without(asdict(self), {"earlier": (), "pair_distance": ALL_SEGMENTS})
+        return values | {"training": _without(self.training, {"novelty_weight": 0.0})}
 
     @property
     def versions(self) -> tuple["CellSettings", ...]:
         """The cells of the versions before it, and itself, in ascending order of labels."""
         counts = (*self.earlier, self.labels)
         return tuple(replace(self, labels=count, earlier=counts[:n]) for n, count in enumerate(counts))
+
+
+def _without(values: Mapping[str, object], defaults: Mapping[str, object]) -> dict[str, object]:
+    """`values` without those that equal `defaults`."""
+    return {name: value for name, value in values.items() if name not in defaults or value != defaults[name]}
 
 
 def run_versions(

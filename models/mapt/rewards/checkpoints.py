@@ -16,14 +16,17 @@ from mapt.io import atomic_write
 from mapt.provenance import provenance
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import MeanReward, RewardModel
+from mapt.rewards.novelty import Novelty
 from mapt.rewards.registry import build_reward_model
 
 FORMAT = "mapt.reward"
 # 2 added `architecture` and `discrete_actions` to the settings, 3 `segment_steps`; a model of an earlier format has
 # their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean. 5 added `networks`. A
-# model of format 4 may hold further weights, with a prefix, from which its training would have continued.
-FORMAT_VERSION = 5
+# model of format 4 may hold further weights, with a prefix, from which its training would have continued. 6 added the
+# weights of `Novelty`.
+FORMAT_VERSION = 6
 _FORMAT_4_PREFIX = "judged."
+_NOVELTY_PREFIX = "novelty."
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
 POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
@@ -167,6 +170,8 @@ def model_with_weights(config: RewardConfig, state: Mapping[str, Tensor], networ
         with torch.device("meta"):
             built = [build_reward_model(config) for _ in range(networks)]
             model = MeanReward(built) if networks > 1 else built[0]
+            if any(name.startswith(_NOVELTY_PREFIX) for name in state):
+                model.novelty = Novelty(config.n_agents, config.observation_dim).requires_grad_(False)
         model.load_state_dict({name: tensor.clone() for name, tensor in state.items()}, assign=True)
     except InvalidConfig as error:
         raise DamagedCheckpoint(str(error)) from error

@@ -284,6 +284,15 @@ class TrainConfig(Settings):
             "mean is what a further step is worth."
         ),
     ] = True
+    novelty_weight: Annotated[
+        float,
+        setting(
+            "Penalty on the policy's reward, in standard deviations, for states unlike those of the segments; 0: none. "
+            "For a policy that trains on a model that stays fixed.",
+            ge=0,
+            le=100,
+        ),
+    ] = 0.0
     seed: Annotated[int, setting("Seed of weights, batches, dropout and hold-out.", ge=0)] = 0
     device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     precision: Annotated[Precision, setting("Dtype of matrix products; auto uses bfloat16 where it is faster.")] = (

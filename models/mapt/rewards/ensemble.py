@@ -223,7 +223,7 @@ def _train_member(
         shared.train.take(sample),
         shared.config,
         # Members serve to score pairs: one fold decides about their attention, instead of a trial each over all folds.
-        replace(shared.train_config, seed=job.seed, trial_folds=1, networks=1),
+        replace(shared.train_config, seed=job.seed, trial_folds=1, networks=1, novelty_weight=0.0),
         initial=job.initial_model(),
         initial_metrics=shared.initial_metrics,
         hold_out=shared.hold_out,

@@ -21,6 +21,7 @@ from mapt.rewards.layers import (
     mean_attention,
     zero_init,
 )
+from mapt.rewards.novelty import Novelty
 
 # Factor of every reward. The score of a whole segment is a mean over steps and agents, so it starts near 0, while the
 # logit of a clear preference is about 5.
@@ -59,6 +60,8 @@ class RewardModel(nn.Module, ABC):
         self.config = config
         self.register_buffer("reward_mean", torch.zeros(()))
         self.register_buffer("reward_deviation", torch.ones(()))
+        #: lowers the policy's reward where states are new; None without such a penalty
+        self.novelty: Novelty | None = None
 
     @property
     @abstractmethod
@@ -145,6 +148,14 @@ class RewardModel(nn.Module, ABC):
         Agents share one scale, so that the mean over agents is the shared reward's.
         """
         return (rewards - self.reward_mean) / self.reward_deviation
+
+    def penalised(self, rewards: Tensor, observations: Tensor) -> Tensor:
+        """`normalised` rewards (S, L) or (S, L, N), less the penalty for new states; observations are (S, L, N, C)."""
+        rewards = self.normalised(rewards)
+        if self.novelty is None:
+            return rewards
+        penalty = self.novelty(observations)
+        return rewards - (penalty if rewards.dim() == penalty.dim() else penalty[..., None])
 
 
 class RewardNetwork(RewardModel):

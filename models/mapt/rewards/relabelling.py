@@ -39,7 +39,7 @@ class RolloutRelabeller:
     of reward other than "value", every window is a separate segment, which takes T times as long.
 
     Args:
-        model: copied; its `reward_mean` and `reward_deviation` normalise the rewards.
+        model: copied; see `RewardModel.penalised` for the scale of its rewards.
         window: T, 1 or more; the length of the segments that the model was trained on.
         n_envs: E.
         credit: see `Credit`.
@@ -118,12 +118,17 @@ class RolloutRelabeller:
         )
         envs_per_pass = max(1, self._steps_per_pass // (len(steps.episode) * self._model.config.n_agents))
         passes = zip(*(tensor.split(envs_per_pass) for tensor in by_env), strict=True)
-        with autocast(self._dtype, self._device):
-            rewards = torch.cat([self._rewards(*part, length=length) for part in passes]).float()
-        if self._credit == "shared":
-            rewards = rewards.mean(dim=2)
+        rewards = [
+            self._model.penalised(self._rewards_of(*part, length=length), part[0][:, -length:]) for part in passes
+        ]
         self._context.update(steps)
-        return self._model.normalised(rewards).transpose(0, 1).contiguous().cpu().numpy()
+        return torch.cat(rewards).transpose(0, 1).contiguous().cpu().numpy()
+
+    def _rewards_of(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
+        """(E, L) with shared credit, (E, L, N) with individual credit; arguments as `_rewards`."""
+        with autocast(self._dtype, self._device):
+            rewards = self._rewards(observations, actions, episode, length=length).float()
+        return rewards.mean(dim=2) if self._credit == "shared" else rewards
 
     def _rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
         """(E, T - 1 + L, N, C) and so on -> r-hat (E, L, N) of the last L steps."""
@@ -170,7 +175,7 @@ class RewardStream:
     pass of that step alone. In the cases in which `RolloutRelabeller` runs window by window, this class does, too.
 
     Args:
-        model: copied; its `reward_mean` and `reward_deviation` normalise the rewards.
+        model: copied; see `RewardModel.penalised` for the scale of its rewards.
         window, n_envs, credit, device, kind: as in `RolloutRelabeller`.
 
     Raises:
@@ -229,7 +234,7 @@ class RewardStream:
         )
         if self._credit == "shared":
             rewards = rewards.mean(dim=1)
-        return self._model.normalised(rewards).cpu().numpy()
+        return self._model.penalised(rewards[:, None], now[0])[:, 0].cpu().numpy()
 
 
 def uses_local_attention(model: RewardModel, kind: PolicyReward) -> bool:

@@ -25,6 +25,7 @@ from mapt.rewards.data import (
 )
 from mapt.rewards.metrics import confidence, counted, evaluate_logits
 from mapt.rewards.model import MeanReward, RewardModel
+from mapt.rewards.novelty import Novelty
 from mapt.rewards.stage_trainer import TrainingLog, TrainProgress
 from mapt.rewards.version_trainer import VersionTrainer
 
@@ -113,6 +114,9 @@ def train_reward_model(
     rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
     mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
     model.set_reward_scale(mean, float(rewards.std()))
+    if train_config.novelty_weight and not log.stopped:
+        sample = scaled.take(evenly_spaced_sample(scaled))
+        model.novelty = Novelty.fitted(sample.observations, sample.mask, train_config.novelty_weight, train_config.seed)
     train = trainer.folds[0].train.first(MAX_EVALUATED_PAIRS)
     on_train = evaluate_logits(train.logits(model, scorer), train.labels, train_config.label_noise, train.weights)
     on_hold_out = evaluate_logits(logits, labels, train_config.label_noise, weights)

@@ -320,6 +320,8 @@ class VersionTrainer:
     def _copied(self, initial: RewardNetwork) -> RewardNetwork:
         """A copy of `initial` for further training."""
         model = copy.deepcopy(initial).to(self._segments.device)
+        # Each version has its own, of its own segments.
+        model.novelty = None
         model.fit_normalisers(*self._sample, keep_function=True)
         return model.eval()
 

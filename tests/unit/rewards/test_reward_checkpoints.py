@@ -47,7 +47,7 @@ def test_card_documents_the_model(build):
     model = build()
     model.set_reward_scale(0.5, 2.0)
     card = json.loads(save_reward_model(model, METRICS).card)
-    assert (card["format_version"], card["networks"]) == (5, 1)
+    assert (card["format_version"], card["networks"]) == (6, 1)
     assert "1 segment 0" in card["polarity"]
     assert (card["reward_mean"], card["reward_deviation"]) == (0.5, 2.0)
     assert card["config"]["n_agents"] == 3
@@ -61,7 +61,7 @@ def edited(card: bytes, **changes: object) -> bytes:
 def test_newer_format_is_refused(build):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(NewerCheckpoint):
-        load_reward_model(saved.weights, edited(saved.card, format_version=6))
+        load_reward_model(saved.weights, edited(saved.card, format_version=7))
 
 
 def test_model_of_format_1_loads(build):
