@@ -6,7 +6,7 @@ They put the parts of the library together for one process and data that fit int
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -232,6 +232,7 @@ def train_reward(
     model: str = "MAPT",
     *,
     preset: PresetName = "small",
+    novelty_weight: float = 0.0,
     seed: int = 0,
     device: str = "auto",
     progress: bool | None = None,
@@ -240,13 +241,16 @@ def train_reward(
 
     Args:
         model: a name of `mapt.rewards.config.MODEL_NAMES`, such as MAPT, MA-MLP, MA-LSTM or MA-Transformer.
+        novelty_weight: penalty for states unlike those of the data, in standard deviations of the reward. 1 keeps a
+            policy of `train_policy` near behaviour that the data shows; 0 where it should find better behaviour.
         progress: show a progress bar; by default in a terminal.
 
     Raises:
-        InvalidConfig: if there is no such model, preset or device.
+        InvalidConfig: if there is no such model, preset or device, or the weight is out of its range.
     """
     settings = RewardSettings(data.segment_steps, model, preset, seed=seed, device=device)
     config, train = settings.training(data.dataset, data.spec)
+    train = replace(train, novelty_weight=novelty_weight)
     with _progress(f"{model}, {len(data)} labels", train.markov_epochs + train.max_epochs, progress) as show:
 
         def report(at: TrainProgress) -> None:

@@ -10,6 +10,7 @@ import pytest
 import mapt
 from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs, UnknownTeacher
 from mapt.preferences.teachers import TeacherView
+from mapt.rewards import novelty
 
 TASK = "HalfCheetah-2x3"
 SETTINGS: dict[str, Any] = {"rollout_steps": 20, "epochs": 1, "minibatches": 1}
@@ -45,6 +46,15 @@ def test_a_policy_is_trained_on_labelled_segments_and_saved(
     found = mapt.evaluate(policy, other, episodes=2)
     assert found == mapt.evaluate(stored, other, episodes=2)
     assert found.lengths == (1000, 1000)
+
+
+def test_a_policys_reward_may_be_lower_in_states_that_the_segments_do_not_show(
+    segments: mapt.Segments, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(novelty, "UPDATES", 20)
+    reward = mapt.train_reward(mapt.label(segments, pairs=10), "MA-MLP", novelty_weight=0.5, progress=False)
+    assert reward.model.novelty is not None
+    assert reward.model.novelty.weight == 0.5
 
 
 def test_progress_is_shown_on_demand(segments: mapt.Segments, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,6 +98,8 @@ def test_wrong_arguments_are_refused_before_any_work(segments: mapt.Segments, re
         mapt.label(segments, lambda first, _: np.full(len(first), np.nan), pairs=4)
     with pytest.raises(InvalidConfig):
         mapt.train_reward(mapt.label(segments, pairs=4), "MAPPT")
+    with pytest.raises(InvalidConfig, match="novelty_weight is -1"):
+        mapt.train_reward(mapt.label(segments, pairs=4), novelty_weight=-1)
     task = mapt.make_task("HalfCheetah-6x1", n_envs=2, n_threads=1)
     with pytest.raises(InvalidConfig):
         mapt.collect(task, steps=0)
