@@ -284,7 +284,7 @@ def _returns(results: PaperResults, policy: str, columns: Sequence[str]) -> str:
             found = _by_reward(results.rows, task, policy, pairs)
             lines.append([task, f"{pairs:,}", *(_return(found.get(reward), plan) for reward in columns)])
         if task in _PAPER_MEANS:
-            values = [_paper_return(task, reward.partition(":")[0]) for reward in columns]
+            values = [_paper_return(task, reward) for reward in columns]
             if any(values):
                 lines.append([f"{task}, the paper's MAT", f"{_paper_pairs(task):,}", *values])
     return grid(["return", "pairs", *(_heading(reward) for reward in columns)], lines)

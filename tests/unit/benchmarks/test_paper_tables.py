@@ -99,6 +99,14 @@ def test_the_page_has_tables_1_and_2_and_the_papers_figures():
     assert "## Table 3" not in page
 
 
+def test_a_model_with_a_setting_of_ones_own_has_no_figure_of_the_paper():
+    own = "MAPT:train.novelty_weight=1"
+    plan = replace(PLAN, tasks=(FIRST,), pairs=(500,), models=("MAPT", own))
+    page = markdown(PaperResults(plan, (*BASELINES, *MAPT), ()))
+    assert f"| return | pairs | untrained | true reward | MAPT | {own} |" in page
+    assert "| HalfCheetah-6x1, the paper's MAT | 30,000 |  | 4,484 ± 75 | 2,424 ± 128 |  |" in page
+
+
 def test_successes_have_a_table_and_small_returns_decimals():
     plan = replace(PLAN, tasks=("3m", FIRST), pairs=(500,), models=("MAPT",))
     policies = [
