@@ -107,6 +107,7 @@ class RunPlan:
             self.labels_per_version,
             teacher.title,
             self.reward_preset,
+            self.query_selection,
         )
         return RunSettings(
             task=self.task,

@@ -150,7 +150,12 @@ class RewardModel(nn.Module, ABC):
         return (rewards - self.reward_mean) / self.reward_deviation
 
     def penalised(self, rewards: Tensor, observations: Tensor) -> Tensor:
-        """`normalised` rewards (S, L) or (S, L, N), less the penalty for new states; observations are (S, L, N, C)."""
+        """What a policy trains on: `normalised` rewards less the penalty for new states, if the model has one.
+
+        Args:
+            rewards: of the team (...), or of each agent (..., N).
+            observations: (..., N, C), before the steps.
+        """
         rewards = self.normalised(rewards)
         if self.novelty is None:
             return rewards

@@ -4,8 +4,6 @@ Where no segment shows a state, the networks of a reward model guess, and they g
 does not tell. A policy that trains on a fixed reward model meets such states and is paid for them at random.
 """
 
-from collections.abc import Iterator
-
 import torch
 from torch import Tensor, nn
 
@@ -70,14 +68,17 @@ class Novelty(nn.Module):
             states = observations[mask]
             novelty.target.requires_grad_(False)
             optimiser = torch.optim.Adam(novelty.predictor.parameters(), _LEARNING_RATE)
-            for batch in _batches(len(states), device):
+            for _ in range(UPDATES):
+                batch = torch.randint(len(states), (_BATCH_STEPS,)).to(device)
                 loss = novelty._errors(states[batch]).mean()
                 optimiser.zero_grad()
                 loss.backward()
                 optimiser.step()
         with torch.no_grad():
             errors = torch.cat([novelty._errors(part) for part in states.split(_BATCH_STEPS)])
-            novelty.threshold.copy_(_quantile(errors))
+            # Unlike `torch.quantile`, `kthvalue` takes any number of errors. Equal states may have none.
+            typical = errors.kthvalue(max(1, round(_TYPICAL_SHARE * len(errors)))).values
+            novelty.threshold.copy_(typical.clamp(min=torch.finfo(errors.dtype).tiny))
         return novelty.requires_grad_(False).eval()
 
 
@@ -85,14 +86,3 @@ def _features(n_inputs: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Linear(n_inputs, _WIDTH), nn.GELU(), nn.Linear(_WIDTH, _WIDTH), nn.GELU(), nn.Linear(_WIDTH, _FEATURES)
     )
-
-
-def _batches(n_states: int, device: torch.device) -> Iterator[Tensor]:
-    for _ in range(UPDATES):
-        yield torch.randint(n_states, (min(_BATCH_STEPS, n_states),)).to(device)
-
-
-def _quantile(errors: Tensor) -> Tensor:
-    """The error below which `_TYPICAL_SHARE` of them are; `torch.quantile` takes no more than 16 million values."""
-    rank = max(1, round(_TYPICAL_SHARE * len(errors)))
-    return errors.kthvalue(rank).values.clamp(min=torch.finfo(errors.dtype).tiny)

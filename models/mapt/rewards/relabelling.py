@@ -118,17 +118,17 @@ class RolloutRelabeller:
         )
         envs_per_pass = max(1, self._steps_per_pass // (len(steps.episode) * self._model.config.n_agents))
         passes = zip(*(tensor.split(envs_per_pass) for tensor in by_env), strict=True)
-        rewards = [
-            self._model.penalised(self._rewards_of(*part, length=length), part[0][:, -length:]) for part in passes
-        ]
+        rewards = torch.cat([self._policy_rewards(*part, length=length) for part in passes])
         self._context.update(steps)
-        return torch.cat(rewards).transpose(0, 1).contiguous().cpu().numpy()
+        return rewards.transpose(0, 1).contiguous().cpu().numpy()
 
-    def _rewards_of(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
-        """(E, L) with shared credit, (E, L, N) with individual credit; arguments as `_rewards`."""
+    def _policy_rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
+        """What the policy trains on: (E, L) with shared credit, (E, L, N) with individual; arguments as `_rewards`."""
         with autocast(self._dtype, self._device):
             rewards = self._rewards(observations, actions, episode, length=length).float()
-        return rewards.mean(dim=2) if self._credit == "shared" else rewards
+        if self._credit == "shared":
+            rewards = rewards.mean(dim=2)
+        return self._model.penalised(rewards, observations[:, -length:])
 
     def _rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
         """(E, T - 1 + L, N, C) and so on -> r-hat (E, L, N) of the last L steps."""
@@ -234,7 +234,7 @@ class RewardStream:
         )
         if self._credit == "shared":
             rewards = rewards.mean(dim=1)
-        return self._model.penalised(rewards[:, None], now[0])[:, 0].cpu().numpy()
+        return self._model.penalised(rewards, now[0][:, 0]).cpu().numpy()
 
 
 def uses_local_attention(model: RewardModel, kind: PolicyReward) -> bool:

@@ -111,12 +111,13 @@ def train_reward_model(
             network.scale_rewards(factor)
     model = MeanReward(networks).eval() if len(networks) > 1 else networks[0]
     scaled = segments if reference is None else segment_reader(reference, device)
-    rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
+    sampled = evenly_spaced_sample(scaled)
+    rewards = step_rewards(model, scaled, sampled)
     mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
     model.set_reward_scale(mean, float(rewards.std()))
     if train_config.novelty_weight and not log.stopped:
-        sample = scaled.take(evenly_spaced_sample(scaled))
-        model.novelty = Novelty.fitted(sample.observations, sample.mask, train_config.novelty_weight, train_config.seed)
+        shown = scaled.take(sampled)
+        model.novelty = Novelty.fitted(shown.observations, shown.mask, train_config.novelty_weight, train_config.seed)
     train = trainer.folds[0].train.first(MAX_EVALUATED_PAIRS)
     on_train = evaluate_logits(train.logits(model, scorer), train.labels, train_config.label_noise, train.weights)
     on_hold_out = evaluate_logits(logits, labels, train_config.label_noise, weights)

@@ -340,7 +340,13 @@ class PreferenceLoop:
             raise InvalidConfig(f"With output, the task must be made by make_task({spec.name!r}, n_envs).", "output")
         teacher = str(self._teacher.parameters().get("name", type(self._teacher).__name__))
         reward = PreferenceRewardSettings(
-            self.reward.model, schedule.budget, schedule.initial, schedule.per_version, teacher, self.reward.preset
+            self.reward.model,
+            schedule.budget,
+            schedule.initial,
+            schedule.per_version,
+            teacher,
+            self.reward.preset,
+            self._selector,
         )
         return RunSettings(spec.name, learner.config, schedule.total_steps, reward)
 

@@ -61,6 +61,8 @@ class PreferenceRewardSettings:
     teacher: str
     #: size of the model
     preset: str = "small"
+    #: how pairs are chosen, a name of `mapt.preferences.selection.selector_names`
+    query_selection: str = "recent"
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,6 +146,8 @@ def test_pairs_chosen_in_another_way_have_other_experiments():
     assert recent.name != uniform.name
     assert uniform.differences(asdict(recent)) == ["query_selection is 'recent', not 'uniform'"]
     check_plans([recent, uniform], TeacherChoice().teacher(0))
+    settings = [each.settings(TeacherChoice()) for each in (recent, uniform)]
+    assert settings[1].differences(settings[0]) == ["reward.query_selection: uniform, not recent"]
 
 
 def test_an_unknown_way_to_choose_pairs_is_refused_before_a_service_starts():
