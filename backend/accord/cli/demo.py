@@ -89,6 +89,15 @@ def demo(
             help=f"How the pairs to label are chosen, after a uniform first round: {', '.join(selector_names())}.",
         ),
     ] = "recent",
+    novelty_weight: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=100,
+            help="Penalty on the policy's reward, in standard deviations, for states unlike those that the labelled "
+            "pairs show.",
+        ),
+    ] = 0.0,
     workers: Workers = 0,
     home: Annotated[
         Path | None, typer.Option(help="Folder of the demo's own service.  [default: home, in the output folder]")
@@ -116,6 +125,7 @@ def demo(
         labels_per_version=labels_per_version,
         render_clips=clips,
         query_selection=query_selection,
+        novelty_weight=novelty_weight,
         answer_scale="five" if choice.teacher(0).bpref.slight else "three",
         baseline=baseline,
         # Experiments of the default algorithm do not name it.

@@ -77,6 +77,8 @@ class RunPlan:
     answer_scale: str = "three"
     #: how pairs are chosen
     query_selection: str = "recent"
+    #: penalty for states unlike those that the labelled pairs show
+    novelty_weight: float = 0.0
     #: Runs are repeatable only if the policy waits for each reward version.
     pacing: str = "wait"
     #: policy settings that differ from the defaults
@@ -108,6 +110,7 @@ class RunPlan:
             teacher.title,
             self.reward_preset,
             self.query_selection,
+            self.novelty_weight,
         )
         return RunSettings(
             task=self.task,
@@ -137,6 +140,8 @@ class Grid:
     answer_scale: str = "three"
     #: how pairs are chosen
     query_selection: str = "recent"
+    #: penalty for states unlike those that the labelled pairs show
+    novelty_weight: float = 0.0
     #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -153,9 +158,10 @@ class Grid:
         # Defaults are not in the names, so that a demo of an earlier version can be resumed.
         size = "" if self.reward_preset == "small" else f" of size {self.reward_preset}"
         pairs = "" if self.query_selection == "recent" else f", {self.query_selection} pairs"
+        novelty = f", novelty weight {self.novelty_weight:g}" if self.novelty_weight else ""
         learned = [
             self._plan(
-                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}",
+                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}{novelty}",
                 seed,
                 PREFERENCES,
                 label_budget=labels,
@@ -166,6 +172,7 @@ class Grid:
                 reward_preset=self.reward_preset,
                 answer_scale=self.answer_scale,
                 query_selection=self.query_selection,
+                novelty_weight=self.novelty_weight,
             )
             for labels in self.labels
             for model in self.reward_models

@@ -181,6 +181,15 @@ class ExperimentConfig(Settings):
         float,
         setting("Share of labels assumed to be wrong in training; 0.1 is usual for people.", ge=0, le=0.49),
     ] = 0.0
+    novelty_weight: Annotated[
+        float,
+        setting(
+            "Penalty on the policy's reward, in standard deviations, for states unlike those that the labelled pairs "
+            "show; 0: none.",
+            ge=0,
+            le=100,
+        ),
+    ] = 0.0
     weight_labellers: Annotated[
         bool,
         setting(

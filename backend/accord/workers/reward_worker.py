@@ -276,6 +276,7 @@ def reward_settings(config: ExperimentConfig) -> RewardSettings:
         model=config.reward_model,
         preset=config.reward_preset,
         label_noise=config.label_noise,
+        novelty_weight=config.novelty_weight,
         ensemble_members=config.ensemble_members,
         kind=config.policy_reward,
         credit=config.credit,

@@ -51,6 +51,8 @@ class RewardSettings:
     preset: PresetName = "small"
     #: share of the labels that the loss assumes to be mistakes
     label_noise: float = 0.0
+    #: see `TrainConfig`
+    novelty_weight: float = 0.0
     #: members of the ensemble, for selectors that need one
     ensemble_members: int = 3
     #: see `RewardModel.policy_rewards`
@@ -84,6 +86,7 @@ class RewardSettings:
             seed=self.seed,
             device=self.device,
             label_noise=self.label_noise,
+            novelty_weight=self.novelty_weight,
             subtract_mean=not spec.can_terminate,
         )
         return config, train
@@ -347,6 +350,7 @@ class PreferenceLoop:
             teacher,
             self.reward.preset,
             self._selector,
+            self.reward.novelty_weight,
         )
         return RunSettings(spec.name, learner.config, schedule.total_steps, reward)
 

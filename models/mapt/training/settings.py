@@ -63,6 +63,8 @@ class PreferenceRewardSettings:
     preset: str = "small"
     #: how pairs are chosen, a name of `mapt.preferences.selection.selector_names`
     query_selection: str = "recent"
+    #: see `mapt.rewards.config.TrainConfig`
+    novelty_weight: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

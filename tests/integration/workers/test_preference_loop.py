@@ -75,7 +75,7 @@ def run_loop(harness: WorkerHarness, id: str) -> PreferenceLoop:
     "settings",
     [
         {},
-        {"query_selection": "uniform"},
+        {"query_selection": "uniform", "novelty_weight": 1.0},
         {"query_selection": "disagreement_k_center", "ensemble_members": 2, "credit": "individual"},
     ],
     ids=["recent", "uniform", "disagreement_k_center"],

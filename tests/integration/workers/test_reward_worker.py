@@ -1,5 +1,6 @@
 import pytest
 
+from accord.workers.model_store import read_reward_model
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness
 
 
@@ -53,6 +54,20 @@ def test_the_parent_of_each_version_is_the_previous_one(harness: WorkerHarness, 
     assert versions(harness) == [(1, 8, 8), (2, 12, 12)]
     [(parent,)] = harness.rows("SELECT parent_id FROM reward_versions WHERE number = 2")
     assert (parent,) in harness.rows("SELECT id FROM reward_versions WHERE number = 1")
+
+
+@pytest.mark.parametrize("weight", [0.0, 2.0])
+def test_a_version_penalises_unknown_states_if_the_experiment_asks_for_it(harness: WorkerHarness, weight: float):
+    id = harness.create_experiment(novelty_weight=weight)
+    with harness.training(id) as run:
+        run.step()
+    worker = SingleThreadedRewardWorker(harness.context)
+    assert worker.work()
+    harness.label(id, 8)
+    assert worker.work()
+    [(blob_key,)] = harness.rows("SELECT blob_key FROM reward_versions")
+    model = read_reward_model(harness.context.blobs, blob_key)
+    assert (0.0 if model.novelty is None else model.novelty.weight.item()) == weight
 
 
 def test_changed_labels_lead_to_a_new_version(harness: WorkerHarness, first_queries):

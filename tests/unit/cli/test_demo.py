@@ -136,18 +136,19 @@ def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
     assert settings[1].differences(settings[0]) == ["reward.preset: paper, not small"]
 
 
-def test_pairs_chosen_in_another_way_have_other_experiments():
-    recent, uniform = (
-        Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), query_selection=selection, baseline=False).plans(
-            "oracle"
-        )[0]
-        for selection in ("recent", "uniform")
+@pytest.mark.parametrize(
+    ("name", "default", "own"), [("query_selection", "recent", "uniform"), ("novelty_weight", 0.0, 0.5)]
+)
+def test_another_setting_has_other_experiments(name: str, default: object, own: object):
+    usual, other = (
+        Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), **{name: value}, baseline=False).plans("oracle")[0]
+        for value in (default, own)
     )
-    assert recent.name != uniform.name
-    assert uniform.differences(asdict(recent)) == ["query_selection is 'recent', not 'uniform'"]
-    check_plans([recent, uniform], TeacherChoice().teacher(0))
-    settings = [each.settings(TeacherChoice()) for each in (recent, uniform)]
-    assert settings[1].differences(settings[0]) == ["reward.query_selection: uniform, not recent"]
+    assert usual.name != other.name
+    assert other.differences(asdict(usual)) == [f"{name} is {default!r}, not {own!r}"]
+    check_plans([usual, other], TeacherChoice().teacher(0))
+    settings = [each.settings(TeacherChoice()) for each in (usual, other)]
+    assert settings[1].differences(settings[0]) == [f"reward.{name}: {own}, not {default}"]
 
 
 def test_an_unknown_way_to_choose_pairs_is_refused_before_a_service_starts():

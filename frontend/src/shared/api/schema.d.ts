@@ -3088,6 +3088,11 @@ export interface components {
              */
             label_noise: number;
             /**
+             * @description Penalty on the policy's reward, in standard deviations, for states unlike those that the labelled pairs show; 0: none.
+             * @default 0
+             */
+            novelty_weight: number;
+            /**
              * @description Where several people label, weight each label by the estimated reliability of its labeller. Labels are stored as given.
              * @default true
              */

@@ -6,6 +6,7 @@ const LABELS: Readonly<Record<string, string>> = {
   initial_labels: "Labels before the first reward model",
   labels_per_version: "New labels per reward version",
   segment_steps: "Steps per clip",
+  novelty_weight: "Penalty for unknown states",
   weight_labellers: "Weight labels by reliability",
   labels_per_pair: "Labels per overlap pair",
   overlap_share: "Share of overlap pairs",
