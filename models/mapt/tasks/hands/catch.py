@@ -7,14 +7,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.tasks.hands.definition import hands_task
 from mapt.tasks.hands.model import (
     HAND_NQ,
-    HAND_NV,
-    N_ACTIONS,
-    POLICY_SETTINGS,
     SIDES,
-    STEP_SECONDS,
-    SUBSTEPS,
     FloatArray,
     Pose,
     Strength,
@@ -23,20 +19,16 @@ from mapt.tasks.hands.model import (
 from mapt.tasks.hands.observation import (
     BASE,
     BODY_SCALE,
-    HAND_WIDTH,
     N_HAND_SENSORS,
     OBSERVATION_LIMIT,
     add_body_sensors,
     add_hand_sensors,
     add_pose_sensors,
     at_rest,
-    hand_partition,
     observe_hands,
     relative_quaternion,
 )
-from mapt.tasks.mujoco_definition import Features, MujocoMdp, Robot
-from mapt.tasks.mujoco_task import MujocoDefinition
-from mapt.tasks.partition import columns
+from mapt.tasks.mujoco_definition import Features
 
 HANDS = (Pose((0.0, 0.0, 0.5), (1.67, 3.14, 0.0)), Pose((0.0, -0.8, 0.5), (0.0, 0.0, 3.1415)))
 #: From the right hand's palm side: both hands, the goal between them and the egg in the air.
@@ -56,7 +48,8 @@ EGG, GOAL_POSE, TURN = slice(0, 13), slice(13, 20), slice(20, 24)
 #: The egg's free joint, then the goal's ball joint.
 EGG_QPOS = len(SIDES) * HAND_NQ
 GOAL_QPOS = EGG_QPOS + 7
-NQ, NV = EGG_QPOS + 11, len(SIDES) * HAND_NV + 9
+#: of both joints
+THINGS_NQ, THINGS_NV = 7 + 4, 6 + 3
 
 
 def make_spec() -> mujoco.MjSpec:
@@ -81,7 +74,7 @@ def make_spec() -> mujoco.MjSpec:
 
 def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
     """Hands and egg always in the same place; egg and goal turned by random angles about y, then x."""
-    qpos, qvel = at_rest(n, NQ - EGG_QPOS, NV - len(SIDES) * HAND_NV)
+    qpos, qvel = at_rest(n, THINGS_NQ, THINGS_NV)
     qpos[:, EGG_QPOS : EGG_QPOS + 3] = EGG_START
     for first in (EGG_QPOS + 3, GOAL_QPOS):
         half = rng.uniform(-np.pi / 2, np.pi / 2, (2, n))
@@ -122,31 +115,19 @@ def caught(features: Features) -> NDArray[np.bool_]:
 
 
 TASKS = (
-    MujocoDefinition(
-        name="CatchOver2Underarm",
-        robot=Robot(
-            make_spec,
-            NQ,
-            NV,
-            STEP_SECONDS / SUBSTEPS,
-            hand_partition(OBJECT_WIDTH),
-            agent_roots=("right_base", "left_base"),
-        ),
-        mdp=MujocoMdp(
-            frame_skip=SUBSTEPS,
-            sample_start=sample_start,
-            reward=reward,
-            terminated=terminated,
-            success=caught,
-            previous=(),
-            fields={"sensordata": (N_HAND_SENSORS + N_SENSED,), "ctrl": (len(SIDES) * N_ACTIONS,)},
-            features={"hands": (len(SIDES), HAND_WIDTH), "object": (OBJECT_WIDTH,)},
-            compute=compute,
-            state=columns("hands", 0, len(SIDES) * HAND_WIDTH) + columns("object", 0, OBJECT_WIDTH),
-        ),
-        agent_names=("right hand", "left hand"),
+    hands_task(
+        "CatchOver2Underarm",
+        make_spec,
+        object_nq=THINGS_NQ,
+        object_nv=THINGS_NV,
+        object_width=OBJECT_WIDTH,
+        n_object_sensors=N_SENSED,
+        sample_start=sample_start,
+        compute=compute,
+        reward=reward,
+        terminated=terminated,
+        success=caught,
         instructions="The right hand should throw the egg, and the left hand should catch it at the green place.",
         horizon_steps=75,
-        policy_settings=POLICY_SETTINGS,
     ),
 )

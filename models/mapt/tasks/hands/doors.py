@@ -13,15 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.tasks.hands.definition import hands_task
 from mapt.tasks.hands.model import (
-    HAND_NQ,
-    HAND_NV,
     HIDDEN,
-    N_ACTIONS,
-    POLICY_SETTINGS,
     SIDES,
-    STEP_SECONDS,
-    SUBSTEPS,
     FloatArray,
     Pose,
     Strength,
@@ -30,7 +25,6 @@ from mapt.tasks.hands.model import (
 )
 from mapt.tasks.hands.observation import (
     BODY_SCALE,
-    HAND_WIDTH,
     N_HAND_SENSORS,
     OBSERVATION_LIMIT,
     TIPS,
@@ -38,12 +32,10 @@ from mapt.tasks.hands.observation import (
     add_hand_sensors,
     add_position_sensor,
     at_rest,
-    hand_partition,
     observe_hands,
 )
-from mapt.tasks.mujoco_definition import Condition, Features, MujocoMdp, RewardFunction, Robot, StartSampler
+from mapt.tasks.mujoco_definition import Condition, Features, RewardFunction, StartSampler
 from mapt.tasks.mujoco_task import MujocoDefinition
-from mapt.tasks.partition import columns
 
 HANDS = (Pose((0.55, 0.2, 0.6), (3.14159, 1.57, 1.57)), Pose((0.55, -0.2, 0.6), (3.14159, -1.57, 1.57)))
 #: From behind and above the hands, so that they do not hide the leaves.
@@ -62,7 +54,6 @@ OPENED_DEGREES, CLOSED_DEGREES = 75.0, 15.0
 #: The door's pose and velocities, which are constant, and the positions of the right and the left handle.
 OBJECT_WIDTH = 19
 RIGHT_HANDLE, LEFT_HANDLE = slice(13, 16), slice(16, 19)
-NQ, NV = len(SIDES) * HAND_NQ + 2, len(SIDES) * HAND_NV + 2
 
 Colour = tuple[float, float, float, float]
 FRAME_COLOUR: Colour = (0.35, 0.38, 0.42, 1.0)
@@ -182,7 +173,7 @@ def start_of(angle: float, speed: float) -> StartSampler:
     """Always the same start, with both leaves at this angle in radians and speed in rad/s."""
 
     def sample(_rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-        qpos, qvel = at_rest(n, 2, 2)
+        qpos, qvel = at_rest(n, len(LEAVES), len(LEAVES))
         qpos[:, -2:], qvel[:, -2:] = angle, speed
         return qpos, qvel
 
@@ -254,32 +245,20 @@ def _task(
     terminated: Condition,
     success: Condition,
 ) -> MujocoDefinition:
-    return MujocoDefinition(
-        name=name,
-        robot=Robot(
-            spec_of(inward=inward),
-            NQ,
-            NV,
-            STEP_SECONDS / SUBSTEPS,
-            hand_partition(OBJECT_WIDTH),
-            agent_roots=("right_base", "left_base"),
-        ),
-        mdp=MujocoMdp(
-            frame_skip=SUBSTEPS,
-            sample_start=sample_start,
-            reward=reward,
-            terminated=terminated,
-            success=success,
-            previous=(),
-            fields={"sensordata": (N_HAND_SENSORS + OBJECT_WIDTH,), "ctrl": (len(SIDES) * N_ACTIONS,)},
-            features={"hands": (len(SIDES), HAND_WIDTH), "object": (OBJECT_WIDTH,)},
-            compute=compute,
-            state=columns("hands", 0, len(SIDES) * HAND_WIDTH) + columns("object", 0, OBJECT_WIDTH),
-        ),
-        agent_names=("right hand", "left hand"),
+    return hands_task(
+        name,
+        spec_of(inward=inward),
+        object_nq=len(LEAVES),
+        object_nv=len(LEAVES),
+        object_width=OBJECT_WIDTH,
+        n_object_sensors=OBJECT_WIDTH,
+        sample_start=sample_start,
+        compute=compute,
+        reward=reward,
+        terminated=terminated,
+        success=success,
         instructions=instructions,
         horizon_steps=250,
-        policy_settings=POLICY_SETTINGS,
     )
 
 
