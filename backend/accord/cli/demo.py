@@ -254,6 +254,8 @@ class Row:
     attention: float = math.nan
     #: of the last reward version on pairs that nobody labelled; see `VersionReport`
     fresh_accuracy: float = math.nan
+    #: share of the episodes that succeeded, with the learned reward; NaN if the task does not count success
+    success: float = math.nan
 
     @property
     def scored(self) -> bool:
@@ -284,6 +286,7 @@ def rows_of(runs: Sequence[DemoRun]) -> list[Row]:
                 run.seconds,
                 fresh_accuracy=run.reports[-1].fresh_accuracy if run.reports else math.nan,
                 attention=math.nan if run.attention is None else float(run.attention),
+                success=math.nan if run.success is None else run.success,
                 **_scores(run.scores, baseline.scores if baseline else None),
             )
             kinds.setdefault((run.plan.label_budget, run.plan.reward_model), []).append(row)
@@ -320,11 +323,13 @@ def _mean(rows: Sequence[Row]) -> Row:
 
 def table(rows: Sequence[Row], title: str) -> Table:
     """The rows for the terminal."""
+    counts_success = not all(math.isnan(row.success) for row in rows)
     made = Table(title=title)
     made.add_column("reward model")
     for heading in (
-        *("labels", "seed", "untrained", "true reward", "learned reward"),
-        *("share", "versions", "minutes", "fresh pairs"),
+        *("labels", "seed", "untrained", "true reward", "learned reward", "share"),
+        *(["success"] if counts_success else []),
+        *("versions", "minutes", "fresh pairs"),
     ):
         made.add_column(heading, justify="right")
     for row in rows:
@@ -336,6 +341,7 @@ def table(rows: Sequence[Row], title: str) -> Table:
             _number(row.true_reward),
             _number(row.learned_reward) + ("" if math.isnan(row.std) else f" ± {_number(row.std)}"),
             "-" if math.isnan(row.share) else f"{row.share:.0%}",
+            *([_number(row.success, ".0%")] if counts_success else []),
             _number(row.versions),
             f"{row.seconds / 60:.1f}",
             _number(row.fresh_accuracy, ".1%"),

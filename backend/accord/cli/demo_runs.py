@@ -218,6 +218,8 @@ class DemoRun:
     #: mean true return with mean actions before and after the training
     untrained: float
     final: float
+    #: share of the final policy's episodes that succeeded; None if the task does not count success
+    success: float | None = None
     #: scores by the teacher; None if its scores are true returns, or no episode was long enough for a segment
     scores: TeacherScores | None = None
     #: whether the last reward version uses MAPT's attention; None for other models
@@ -382,6 +384,7 @@ def save_run(clients: DemoClients, plan: RunPlan, experiment: Experiment, folder
         versions=experiment.reward_version or 0,
         untrained=next(iter(curves["true_return_untrained"].values())),
         final=float(np.mean(evaluation.returns)),
+        success=evaluation.summary().get("success"),
         scores=_teacher_scores(clients.choice, plan, folder, experiment.config["segment_steps"]),
         attention=_attention(versions) if plan.reward_model.startswith("MAPT") else None,
         reports=_version_reports(clients, plan, id, folder),

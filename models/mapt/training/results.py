@@ -175,6 +175,8 @@ def _differences(
 def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> list[dict[str, object]]:
     """One row per group and milestone: mean and sample standard deviation of the true return over seeds.
 
+    With the share of episodes that succeeded, None where success is not counted.
+
     Args:
         milestones: environment steps; without any, the last evaluation of each group.
     """
@@ -184,6 +186,7 @@ def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> li
         for steps in milestones or [last]:
             found = [(run, one) for run in group.runs if (one := run.evaluation_at(steps)) is not None]
             values = np.array([one.mean for _, one in found])
+            successes = [one.success for _, one in found if one.success is not None]
             rows.append(
                 {
                     "task": group.task,
@@ -196,6 +199,7 @@ def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> li
                     "mean": float(values.mean()) if found else None,
                     "std": float(values.std(ddof=1)) if len(found) > 1 else None,
                     "iqm": float(np.mean([one.iqm for _, one in found])) if found else None,
+                    "success": float(np.mean(successes)) if successes else None,
                     "by_seed": {str(run.settings.policy.seed): one.mean for run, one in found},
                 }
             )
@@ -280,13 +284,18 @@ def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
     Args:
         milestones: see `returns_table`.
     """
+    rows = returns_table(groups, milestones)
+    counts_success = any(row["success"] is not None for row in rows)
     lines = [
         "True return with mean actions. Mean and sample standard deviation are over seeds; a seed's value is the mean "
-        "over its episodes. The interquartile mean is over the episodes of a seed, averaged over seeds.",
+        "over its episodes. The interquartile mean is over the episodes of a seed, averaged over seeds."
+        + (" Success: the share of episodes that succeeded." if counts_success else ""),
         "",
-        "| task | algorithm | reward | steps | seeds | mean | std | interquartile mean | by seed |",
-        "|---|---|---|---:|---:|---:|---:|---:|---|",
-        *(_returns_line(row) for row in returns_table(groups, milestones)),
+        "| task | algorithm | reward | steps | seeds | mean | std | interquartile mean |"
+        + (" success |" if counts_success else "")
+        + " by seed |",
+        "|---|---|---|---:|---:|---:|---:|---:|" + ("---:|" if counts_success else "") + "---|",
+        *(_returns_line(row, counts_success=counts_success) for row in rows),
         "",
         *_teacher_lines(groups),
         "| task | algorithm | reward | steps/s | " + " | ".join(PARTS) + " |",
@@ -297,14 +306,15 @@ def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
     return "\n".join([*lines, *(["", "Not finished:", "", *unfinished] if unfinished else [])]) + "\n"
 
 
-def _returns_line(row: dict[str, object]) -> str:
-    by_seed = row["by_seed"]
+def _returns_line(row: dict[str, object], *, counts_success: bool) -> str:
+    by_seed, success = row["by_seed"], row["success"]
     assert isinstance(by_seed, dict)
     cells = [
         *_names(str(row["task"]), str(row["algorithm"]), str(row["reward"]), row["labels"], str(row["differs"])),
         f"{row['steps']:,}",
         str(row["seeds"]),
         *(_rounded(row[name]) for name in ("mean", "std", "iqm")),
+        *([f"{success:.0%}" if isinstance(success, float) else _NONE] if counts_success else []),
         ", ".join(f"{seed}: {_rounded(value)}" for seed, value in by_seed.items()) or _NONE,
     ]
     return f"| {' | '.join(cells)} |"

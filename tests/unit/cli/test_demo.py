@@ -191,6 +191,18 @@ def test_the_table_has_a_line_for_each_row_and_names_its_columns():
     assert "80%" in line
 
 
+def test_the_table_shows_successes_where_the_task_counts_them():
+    runs = [replace(run(seed, "preferences", 80.0), success=share) for seed, share in ((0, 0.5), (1, 1.0))]
+    capture = Console(width=200, record=True, file=StringIO())
+    capture.print(table(rows_of(runs), "returns"))
+    text = capture.export_text()
+    assert "success" in text
+    [line] = [line for line in text.splitlines() if "mean" in line]
+    assert "75%" in line
+    capture.print(table(rows_of([run(0, "preferences", 80.0)]), "returns"))
+    assert "success" not in capture.export_text()
+
+
 def test_models_with_a_star_have_separate_folders():
     names = {plan(0, "preferences", model).folder_name for model in ("MAPT", "MAPT*", "MAPT*-CPA", "MAPT-CPA")}
     assert len(names) == 4

@@ -110,6 +110,18 @@ def test_the_table_shows_mean_deviation_and_each_seed(settings, tmp_path):
     assert "Not finished" not in text
 
 
+def test_the_table_shows_the_share_of_successful_episodes_where_success_is_counted(settings, tmp_path):
+    counted = [write_run(tmp_path / str(seed), settings(1, policy_seed=seed), [1.0]) for seed in range(2)]
+    for folder, successes in zip(counted, ((True, True), (True, False)), strict=True):
+        folder.write_evaluation(STEPS_PER_ITERATION, Evaluation((1.0, 2.0), (20, 20), successes))
+    other = write_run(tmp_path / "other", settings(1, policy_algorithm="happo"), [1.0], final=[5.0])
+    text = markdown(grouped(read(*counted, other)))
+    assert "| interquartile mean | success | by seed |" in text
+    assert "| 2 | 1.5 | 0 | 1.5 | 75% | 0: 1.5, 1: 1.5 |" in text
+    assert "| 1 | 5 | - | 5 | - | 0: 5 |" in text
+    assert "success" not in markdown(grouped(read(other)))
+
+
 def test_the_table_shows_intermediate_steps_and_unfinished_runs(settings, tmp_path):
     done = write_run(tmp_path / "0", settings(2), [1.0, 2.0], final=[8.0], evaluation_mean=7.0, evaluation_iqm=7.0)
     short = write_run(tmp_path / "1", settings(2, policy_seed=1), [1.0], evaluation_mean=5.0, evaluation_iqm=5.0)
