@@ -16,6 +16,7 @@ from accord.workers.reward_worker import RewardWorker, reward_settings
 from integration.workers.worker_harness import TINY, WorkerHarness
 from mapt.policies import Learner
 from mapt.preferences.teachers import OracleTeacher
+from mapt.rewards import novelty
 from mapt.tasks import make_task
 from mapt.training.preference_loop import PreferenceLoop, Segment
 from support.policy_training import teacher_view
@@ -80,7 +81,10 @@ def run_loop(harness: WorkerHarness, id: str) -> PreferenceLoop:
     ],
     ids=["recent", "uniform", "disagreement_k_center"],
 )
-def test_the_loop_and_the_service_give_the_same_results(harness: WorkerHarness, settings: dict[str, Any]) -> None:
+def test_the_loop_and_the_service_give_the_same_results(
+    harness: WorkerHarness, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(novelty, "UPDATES", 5)
     policy = {**TINY["policy"], "hidden": [16]}
     id = harness.create_experiment(**settings, label_budget=20, lookahead_queries=2, seed=3, policy=policy)
     run_service(harness, id)

@@ -2,6 +2,7 @@ import pytest
 
 from accord.workers.model_store import read_reward_model
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness
+from mapt.rewards import novelty
 
 
 @pytest.fixture
@@ -57,7 +58,10 @@ def test_the_parent_of_each_version_is_the_previous_one(harness: WorkerHarness, 
 
 
 @pytest.mark.parametrize("weight", [0.0, 2.0])
-def test_a_version_penalises_unknown_states_if_the_experiment_asks_for_it(harness: WorkerHarness, weight: float):
+def test_a_version_penalises_unknown_states_if_the_experiment_asks_for_it(
+    harness: WorkerHarness, weight: float, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(novelty, "UPDATES", 5)
     id = harness.create_experiment(novelty_weight=weight)
     with harness.training(id) as run:
         run.step()
