@@ -4,6 +4,8 @@ Where no segment shows a state, the networks of a reward model guess, and they g
 does not tell. A policy that trains on a fixed reward model meets such states and is paid for them at random.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 
@@ -53,13 +55,16 @@ class Novelty(nn.Module):
         return (self.predictor(inputs) - self.target(inputs)).square().mean(dim=(-2, -1))
 
     @classmethod
-    def fitted(cls, observations: Tensor, mask: Tensor, weight: float, seed: int) -> "Novelty":
+    def fitted(
+        cls, observations: Tensor, mask: Tensor, weight: float, seed: int, stop: Callable[[], bool] = lambda: False
+    ) -> "Novelty":
         """Trained on the real steps of segments.
 
         Args:
             observations: float32 (S, T, N, C).
             mask: bool (S, T), true where the step is real.
             seed: of the initial weights and the batches.
+            stop: called before every gradient step; true ends the training.
         """
         device = observations.device
         with seeded(seed, device):
@@ -69,6 +74,8 @@ class Novelty(nn.Module):
             novelty.target.requires_grad_(False)
             optimiser = torch.optim.Adam(novelty.predictor.parameters(), _LEARNING_RATE)
             for _ in range(UPDATES):
+                if stop():
+                    break
                 batch = torch.randint(len(states), (_BATCH_STEPS,)).to(device)
                 loss = novelty._errors(states[batch]).mean()
                 optimiser.zero_grad()

@@ -117,7 +117,9 @@ def train_reward_model(
     model.set_reward_scale(mean, float(rewards.std()))
     if train_config.novelty_weight and not log.stopped:
         shown = scaled.take(sampled)
-        model.novelty = Novelty.fitted(shown.observations, shown.mask, train_config.novelty_weight, train_config.seed)
+        model.novelty = Novelty.fitted(
+            shown.observations, shown.mask, train_config.novelty_weight, train_config.seed, log.should_stop
+        )
     train = trainer.folds[0].train.first(MAX_EVALUATED_PAIRS)
     on_train = evaluate_logits(train.logits(model, scorer), train.labels, train_config.label_noise, train.weights)
     on_hold_out = evaluate_logits(logits, labels, train_config.label_noise, weights)

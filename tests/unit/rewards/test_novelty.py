@@ -1,5 +1,6 @@
 """The penalty for states unlike those that a reward model learned from."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -103,6 +104,21 @@ def test_training_adds_a_penalty_to_the_policys_rewards_and_changes_no_score(dat
         assert_float32_close(
             np.stack([stream.step(*step) for step in zip(observations, actions, start, strict=True)]), after
         )
+
+
+def test_a_stop_ends_the_training_of_the_penalty_too(dataset: PreferenceDataset) -> None:
+    calls = 0
+
+    def stop(after: float = math.inf) -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > after
+
+    train_reward_model(dataset, CONFIG, replace(QUICK, novelty_weight=0.0), stop=stop)
+    without, calls = calls, 0
+    trained = train_reward_model(dataset, CONFIG, QUICK, stop=lambda: stop(without + 5))
+    assert trained.metrics["stopped"] == 1.0
+    assert calls == without + 6
 
 
 def test_a_further_version_learns_its_own_states(dataset: PreferenceDataset) -> None:
