@@ -175,7 +175,7 @@ def _differences(
 def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> list[dict[str, object]]:
     """One row per group and milestone: mean and sample standard deviation of the true return over seeds.
 
-    With the share of episodes that succeeded, None where success is not counted.
+    With the share of episodes that succeeded, None where success is not counted or some of the seeds lack it.
 
     Args:
         milestones: environment steps; without any, the last evaluation of each group.
@@ -199,7 +199,7 @@ def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> li
                     "mean": float(values.mean()) if found else None,
                     "std": float(values.std(ddof=1)) if len(found) > 1 else None,
                     "iqm": float(np.mean([one.iqm for _, one in found])) if found else None,
-                    "success": float(np.mean(successes)) if successes else None,
+                    "success": float(np.mean(successes)) if found and len(successes) == len(found) else None,
                     "by_seed": {str(run.settings.policy.seed): one.mean for run, one in found},
                 }
             )

@@ -120,6 +120,9 @@ def test_the_table_shows_the_share_of_successful_episodes_where_success_is_count
     assert "| 2 | 1.5 | 0 | 1.5 | 75% | 0: 1.5, 1: 1.5 |" in text
     assert "| 1 | 5 | - | 5 | - | 0: 5 |" in text
     assert "success" not in markdown(grouped(read(other)))
+    # One of the seeds does not say: a share of the others would stand beside a mean over all.
+    uncounted = write_run(tmp_path / "uncounted", settings(1, policy_seed=2), [1.0], final=[5.0])
+    assert "success" not in markdown(grouped(read(*counted, uncounted)))
 
 
 def test_the_table_shows_intermediate_steps_and_unfinished_runs(settings, tmp_path):

@@ -48,7 +48,7 @@ EGG, GOAL_POSE, TURN = slice(0, 13), slice(13, 20), slice(20, 24)
 #: The egg's free joint, then the goal's ball joint.
 EGG_QPOS = len(SIDES) * HAND_NQ
 GOAL_QPOS = EGG_QPOS + 7
-#: of both joints
+#: Positions and velocities of both joints.
 THINGS_NQ, THINGS_NV = 7 + 4, 6 + 3
 
 
