@@ -335,7 +335,7 @@ _NETWORK_PRESETS: Mapping[str, RewardConfig] = {
 # `small` was tuned on HalfCheetah-6x1 with 500 oracle labels (T = 50): the Markov path alone reaches 0.984 test
 # accuracy, with two hidden layers (step correlation 0.82 instead of 0.74), a constant 3e-3 and batches of 32 (0.84
 # instead of 0.81 annealed) and no dropout (0.986 instead of 0.980). `markov_weight_decay` and `markov_smoothness`:
-# docs/results.md, "Credit to single steps"; `weight_decay`: "The mean of networks". `warm_share` 0.5 over eleven
+# docs/results/credit.md; `weight_decay`: docs/results/reward-models.md. `warm_share` 0.5 over eleven
 # versions with 3,000 labels: step correlation 0.72, instead of 0.62 with all weights kept.
 _TRAIN_PRESETS: Mapping[str, TrainConfig] = {
     "paper": TrainConfig(

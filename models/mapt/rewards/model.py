@@ -243,7 +243,7 @@ class RewardNetwork(RewardModel):
         """Set the input statistics from these segments (shapes as in `forward`).
 
         One-hot actions are normalised, too: few labels show that an action matters only if it varies as much as an
-        observation (docs/results.md, "Skirmishes").
+        observation (docs/results/benchmark-tasks.md).
 
         Args:
             keep_function: rescale the layers that read the inputs, so that the outputs do not change (except for
@@ -334,7 +334,7 @@ class MeanReward(RewardModel):
     """The mean of the rewards and scores of several networks with the same config.
 
     Trained alike on 500 labels of a teacher of history, networks differ by several points of accuracy, and their mean
-    is better than each of them: docs/results.md, "The mean of networks".
+    is better than each of them: docs/results/reward-models.md, "The mean of networks".
 
     Raises:
         InvalidConfig: if there is no network.

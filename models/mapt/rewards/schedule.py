@@ -28,9 +28,9 @@ MIN_HOLD_OUT_PAIRS = 10
 # cooperation).
 PATIENCE_AT_CHANCE = 20
 # Training pairs up to which weight decay and smoothness have their full weight: the loss is a mean over pairs, so that
-# the weight of a prior falls in inverse proportion to them. docs/results.md: with the full weight, 10,000 labels credit
-# single steps no better than 500 ("Credit to single steps"), and attention learns nothing from 2,000 labels of a
-# teacher of history and cooperation.
+# the weight of a prior falls in inverse proportion to them. With the full weight, 10,000 labels credit single steps no
+# better than 500 (docs/results/credit.md), and attention learns nothing from 2,000 labels of a teacher of history and
+# cooperation.
 FULLY_REGULARISED_PAIRS = 400
 # Most pairs times networks of a version; at least two networks are trained. A network on 2,000 labels takes minutes.
 PAIRS_OF_ALL_NETWORKS = 2500

@@ -147,7 +147,7 @@ class VersionTrainer:
         """Whole networks of the folds after the first; fewer if stopped.
 
         Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
-        than each of them (docs/results.md, "The mean of networks").
+        than each of them (docs/results/reward-models.md, "The mean of networks").
         """
         networks = self._tried[: self._network_count - 1]
         folds = range(len(networks) + 1, self._network_count)

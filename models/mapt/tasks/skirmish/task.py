@@ -33,7 +33,7 @@ INSTRUCTIONS = (
 #: A battle is over after 20 to 60 steps. In 50, teams that live longer also do more damage, and labels would not tell
 #: which of the two is worth something.
 SEGMENT_STEPS = 10
-#: Those with which MAPPO learned 3s5z; see docs/results.md.
+#: Those with which MAPPO learned 3s5z; see docs/results/benchmark-tasks.md.
 POLICY_SETTINGS: Mapping[str, object] = {
     "shared_actor": True,
     "hidden": [128, 128],
