@@ -269,6 +269,14 @@ class TrainConfig(Settings):
             ge=0,
         ),
     ] = 0.1
+    smoothness_factor: Annotated[
+        float,
+        setting(
+            "The Markov path is also trained with markov_smoothness times this factor; the hold-out decides between "
+            "the two. 1: it is trained once.",
+            ge=1,
+        ),
+    ] = 10.0
     decisive_weight: Annotated[
         float,
         setting(

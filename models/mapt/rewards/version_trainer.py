@@ -6,7 +6,7 @@
 import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -35,6 +35,7 @@ from mapt.rewards.model import RewardModel, RewardNetwork
 from mapt.rewards.parallel import TrainingJob, train_in_processes
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
+    StageSettings,
     is_reliable,
     is_significant,
     markov_stage,
@@ -331,10 +332,31 @@ class VersionTrainer:
         return model.eval()
 
     def _train_markov(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
-        """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select."""
+        """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select.
+
+        It is trained a second time with `smoothness_factor`. How smooth the true reward is differs between tasks, and
+        the hold-out tells (docs/results/credit.md, "How smooth a reward is").
+        """
         stage = markov_stage(self._settings, len(fold.train), warm=warm)
         if stage is None or model.markov is None:
             return self._losses(model, fold)
+        start = copy.deepcopy(model.state_dict())
+        losses = self._run_markov(model, fold, stage)
+        smoother = replace(stage, smoothness=self._settings.smoothness_factor * stage.smoothness)
+        # Rewards that a few training pairs chose would be the rougher ones, which fit these pairs more closely.
+        if smoother == stage or not fold.is_reliable or self._log.stopped:
+            return losses
+        weights = copy.deepcopy(model.state_dict())
+        model.load_state_dict(start)
+        smoother_losses = self._run_markov(model, fold, smoother)
+        if smoother_losses.mean() < losses.mean() and not self._log.stopped:
+            return smoother_losses
+        model.load_state_dict(weights)
+        return losses
+
+    def _run_markov(self, model: RewardNetwork, fold: Fold, stage: StageSettings) -> Tensor:
+        """One run of the Markov stage; returns losses as `_train_markov` does."""
+        assert model.markov is not None
         scorer = MarkovScorer(model, self._segments, self._used)
         run = Stage(
             stage,

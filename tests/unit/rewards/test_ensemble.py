@@ -112,7 +112,7 @@ def test_same_seed_gives_the_same_ensemble():
 
 def test_training_in_processes_gives_the_same_ensemble():
     epochs = []
-    networks, settings = config("MA-MLP"), replace(QUICK, markov_epochs=2)
+    networks, settings = config("MA-MLP"), replace(QUICK, markov_epochs=2, smoothness_factor=1.0)
     in_process = train_reward_ensemble(preferences(), networks, settings, 2)
     in_workers = train_reward_ensemble(preferences(), networks, settings, 2, workers=2, progress=epochs.append)
     for one, other in zip(in_process.members, in_workers.members, strict=True):

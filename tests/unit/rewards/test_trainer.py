@@ -204,6 +204,21 @@ def test_smoothness_credits_the_steps_that_earn_the_return():
     assert within_segments(0.1) > within_segments(0.0) + 0.03
 
 
+@pytest.mark.parametrize("is_smooth", [True, False])
+def test_hold_out_chooses_how_smooth_the_markov_path_is(is_smooth):
+    config = replace(CONFIG, architecture="mlp", temporal="none")
+    data = preferences(100, seed=1)
+    if is_smooth:
+        config, data = replace(config, observation_dim=2), preferences_with_a_potential(100, seed=2)[0]
+    settings = TrainConfig(markov_smoothness=0.001, smoothness_factor=1.0, markov_weight_decay=0.01, device="cpu")
+    rough = train_reward_model(data, config, settings)
+    smooth = train_reward_model(data, config, replace(settings, markov_smoothness=1.0))
+    chosen = train_reward_model(data, config, replace(settings, smoothness_factor=1000.0))
+    assert same_weights(chosen.model, (smooth if is_smooth else rough).model)
+    assert chosen.metrics["holdout_loss"] == min(rough.metrics["holdout_loss"], smooth.metrics["holdout_loss"])
+    assert chosen.metrics["epochs"] == rough.metrics["epochs"] + smooth.metrics["epochs"]
+
+
 def test_reward_that_keeps_its_mean_makes_a_further_step_worth_something():
     """Every step is worth 1, so the teacher prefers the longer segment."""
     data = preferences_for_sums(120)
