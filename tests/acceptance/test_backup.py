@@ -10,8 +10,9 @@ import pytest
 from acceptance.accord_service import ENVIRONMENT, STEPS_PER_ITERATION, Accord, Client
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_a_restored_experiment_keeps_its_labels_and_trains_on(accord: Accord, tmp_path: Path) -> None:
     accord.start(without=("render", "child"))
     token = accord.token("ada", "researcher")

@@ -19,6 +19,8 @@ from accord.store.migrate import migrate
 from support.s3_server import S3Server
 from support.waiting import PATIENCE_SECONDS, until
 
+pytestmark = pytest.mark.slow
+
 
 def up(home: Path, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "accord.cli", "up", "--home", str(home), "--no-example", *options]
@@ -146,7 +148,6 @@ def test_an_invalid_setting_is_named(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0", ACCORD_POLL_SECONDS="soon"), "ACCORD_POLL_SECONDS")
 
 
-@pytest.mark.slow
 def test_without_egl_the_service_runs_and_names_the_package_to_install(accord: Accord) -> None:
     accord.start({"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "LD_LIBRARY_PATH": "/nonexistent"}, without=["policy"])
     until(lambda: "apt-get install" in accord.log.read_text(), "the terminal names the package to install")

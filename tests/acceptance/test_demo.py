@@ -22,10 +22,11 @@ from support import short_tasks
 from support.mapt_command import CommandResult
 from support.waiting import PATIENCE_SECONDS, until
 
+pytestmark = pytest.mark.slow
+
 STEPS = 2000
 
 
-@pytest.mark.slow
 def test_a_killed_demo_resumes_with_every_label_and_writes_runs_scores_videos_figure_and_table(
     tmp_path: Path, mapt: Callable[..., CommandResult], short_episodes: None
 ) -> None:

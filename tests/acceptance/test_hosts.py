@@ -20,6 +20,8 @@ from support.s3_server import S3Server
 from support.stores import PostgresServer, migrated_postgres_database
 from support.waiting import PATIENCE_SECONDS, until
 
+pytestmark = pytest.mark.slow
+
 BUDGET = 24
 EXPERIMENT: dict[str, Any] = {"label_budget": BUDGET, "total_steps": 24 * STEPS_PER_ITERATION}
 
@@ -68,7 +70,6 @@ def policy_host(database: Database) -> str:
     return found[0][0].partition("@")[2].partition(":")[0] if found else ""
 
 
-@pytest.mark.slow
 def test_an_experiment_goes_on_without_a_killed_host_and_after_outages(
     tmp_path: Path, stores: Database, postgres_server: PostgresServer, s3_server: S3Server
 ) -> None:

@@ -6,6 +6,7 @@ from contextlib import closing
 from datetime import timedelta
 
 import av
+import pytest
 
 from acceptance.accord_service import STEPS_PER_ITERATION, TINY, Accord, Client, alive
 from accord.services import workers
@@ -13,6 +14,8 @@ from accord.store.database import Database
 from accord.store.tables import ClaimRow, WorkerRow, utc_now
 from accord.workers.policy_run import CHECKPOINT_ITERATIONS
 from support.waiting import PATIENCE_SECONDS, until
+
+pytestmark = pytest.mark.slow
 
 #: the processes to kill, each with the number of acknowledged labels at which it is killed
 VICTIMS = {"render": 2, "reward": 10, "policy": 16, "api": 20, "child": 24, "supervisor": 30}

@@ -11,6 +11,8 @@ import pytest
 from acceptance.accord_service import Accord, Client, alive
 from support.waiting import PATIENCE_SECONDS, until
 
+pytestmark = pytest.mark.slow
+
 
 def start_training(accord: Accord, without: Collection[str] = ()) -> None:
     """Start the service and wait until its policy trains."""
@@ -57,7 +59,6 @@ def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord) ->
     until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
 
 
-@pytest.mark.slow
 def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work(accord: Accord) -> None:
     start_training(accord, without=["reward"])
     processes = until(accord.all_ready, "all processes handle signals")
@@ -68,7 +69,6 @@ def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work
     until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
 
 
-@pytest.mark.slow
 def test_a_second_signal_kills_all_processes_at_once(accord: Accord) -> None:
     accord.start(without=["policy"])
     processes = until(accord.all_ready, "all processes handle signals")

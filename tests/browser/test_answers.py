@@ -1,5 +1,6 @@
 """Answers with more in them: slightly better, and the agent that decided."""
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from browser.accessibility import violations_of
@@ -7,6 +8,8 @@ from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import Labeller
 from browser.service import Service
 from support.waiting import until
+
+pytestmark = pytest.mark.slow
 
 #: colour of the back shin of HalfCheetah in the light
 BACK_SHIN = [0, 114, 178]

@@ -13,6 +13,8 @@ from browser.frames import assert_shows, image, reference_frames
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 
+pytestmark = pytest.mark.slow
+
 _FRAMES = SMALL["segment_steps"]
 
 #: samples both canvases before every repaint for a number of loops

@@ -13,6 +13,8 @@ from browser.labeller import PATIENCE_MS
 from browser.service import SMALL, Service
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 _FRAMES = SMALL["segment_steps"]
 
 #: what both sliders and canvases show at the same moment

@@ -11,6 +11,8 @@ from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller, open_link
 from browser.service import Service
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_reload_shows_the_same_pair_on_the_same_sides(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn

@@ -30,6 +30,8 @@ from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 #: Python of imitation's own environment, and what it runs
 IMITATION = Path(sys.prefix, "imitation", "bin", "python")
 PROGRAM = Path(__file__).with_name("imitation_program.py")
@@ -215,7 +217,6 @@ def rosa(service: Service, researcher: str, sign_in: SignIn) -> Researcher:
     return Researcher(service, researcher, sign_in("Rosa", "researcher"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("format", "write", "labels"), [("minari", of_minari, 0), ("offline", of_clean_offline_rlhf, len(PAIRS))]
 )
@@ -259,7 +260,6 @@ def imitation(action: str, file: Path, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not IMITATION.exists(), reason="imitation is not installed (make test-imitation)")
 def test_comparisons_of_imitation_are_labelled_trained_on_and_read_back_by_it(rosa: Researcher, tmp_path: Path) -> None:
     original = tmp_path / "preferences.pkl"

@@ -4,6 +4,7 @@ import re
 import time
 
 import pyarrow.parquet as pq
+import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from browser.accessibility import violations_of
@@ -11,6 +12,8 @@ from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 from support.waiting import PATIENCE_SECONDS, until
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_signed_out_page_explains_sign_in_links(service: Service, browser: Browser) -> None:

@@ -2,12 +2,15 @@
 
 import re
 
+import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import Labeller, open_link
 from browser.service import Service
+
+pytestmark = pytest.mark.slow
 
 
 def test_an_admin_invites_a_labeller_who_sees_one_experiment_and_later_loses_access(

@@ -10,6 +10,8 @@ from browser.service import Service
 from support.short_tasks import HORIZON_STEPS
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 _LABELS_PER_VERSION = 10
 
 

@@ -13,6 +13,8 @@ from browser.labeller import Labeller
 from browser.service import Service
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 LABELS = 100
 KEYS = ("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowRight", "ArrowLeft")
 EXPLANATION = "It runs further."
@@ -64,7 +66,6 @@ def answer_hastily(page: Page) -> list[str]:
     return found
 
 
-@pytest.mark.slow
 def test_practice_and_a_hundred_labels_with_the_keyboard_alone(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn, researcher: str
 ) -> None:

@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import Browser, expect
 
 from browser.accessibility import violations_of
@@ -14,6 +15,8 @@ from mapt.preferences.formats.d4rl import read_d4rl, write_d4rl
 from mapt.preferences.formats.records import Episode
 from mapt.tasks import task_spec
 from support.waiting import PATIENCE_SECONDS, until
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_read_only_link_works_without_an_account_until_it_is_revoked(

@@ -10,6 +10,8 @@ from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.rewards.config import RewardConfig, TemporalEncoder, TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
+pytestmark = pytest.mark.slow
+
 N_STEPS, N_AGENTS, OBSERVATION_DIM = 5, 2, 3
 CONFIG = RewardConfig(OBSERVATION_DIM, 1, N_AGENTS, hidden_dim=32, agent_attention=False, cpa=False)
 # Over seven seeds, MAPT's temporal attention reached an accuracy of 0.89 to 0.98 in 12 epochs, and of 0.98 in 20.

@@ -75,6 +75,7 @@ def test_models_are_downloaded_as_the_library_reads_them(api: ApiServer, client:
     assert [version.number for version in client.reward_versions(sample.experiment.id)] == [1]
 
 
+@pytest.mark.slow
 def test_a_reward_version_is_pushed_to_the_hub(api: ApiServer, client: Client, tmp_path: Path) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     store_models(api, sample.experiment.id)
@@ -206,6 +207,7 @@ def blocks() -> list[str]:
     return [part.partition("```")[0] for part in (DOCS / "client.md").read_text().split("```python\n")[1:]]
 
 
+@pytest.mark.slow
 def test_the_examples_in_the_documentation_run(api: ApiServer, tmp_path: Path) -> None:
     code, asynchronous = (block.replace("http://127.0.0.1:8000", api.url) for block in blocks())
     small = code.replace("label_budget=200", "label_budget=5").replace("total_steps=500_000", "total_steps=5_000")
@@ -246,6 +248,7 @@ def run_start(api: ApiServer, file: Path, *more: str) -> subprocess.CompletedPro
     return subprocess.run(command, env=os.environ | token, capture_output=True, text=True, check=False, timeout=120)
 
 
+@pytest.mark.slow
 def test_a_file_starts_an_experiment_for_each_combination_of_a_sweep(
     api: ApiServer, client: Client, tmp_path: Path
 ) -> None:

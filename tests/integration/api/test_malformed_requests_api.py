@@ -51,6 +51,7 @@ def fields_of(operation: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     return required, list(properties)
 
 
+@pytest.mark.slow
 def test_extreme_values_in_any_field_are_no_failure_of_the_server(
     api_per_database: ApiServer, caplog: pytest.LogCaptureFixture
 ) -> None:

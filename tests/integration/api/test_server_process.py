@@ -84,6 +84,7 @@ def test_acknowledged_labels_survive_sigkill(tmp_path: Path, kill_after: int) ->
         assert labels["labels"] == len(stored)
 
 
+@pytest.mark.slow
 def test_server_exits_cleanly_on_sigterm(tmp_path: Path) -> None:
     with running_server(tmp_path) as server:
         assert server.stop() == 0
@@ -102,6 +103,7 @@ def test_error_for_a_port_in_use_suggests_another(tmp_path: Path) -> None:
     assert "Traceback" not in refused.stderr
 
 
+@pytest.mark.slow
 def test_error_for_an_address_of_another_machine_explains_it(tmp_path: Path) -> None:
     assert "--allow-plain-http" in start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid").stderr
     refused = start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid", ACCORD_ALLOW_PLAIN_HTTP="true")
@@ -109,6 +111,7 @@ def test_error_for_an_address_of_another_machine_explains_it(tmp_path: Path) -> 
     assert "does not have the address" in refused.stderr
 
 
+@pytest.mark.slow
 def test_error_for_a_newer_database_names_its_version(tmp_path: Path) -> None:
     database = Database.open(Settings(home=tmp_path).resolved_database_url)
     migrate(database)
@@ -129,6 +132,7 @@ def test_error_for_a_blob_store_that_is_not_writable_names_it(tmp_path: Path) ->
     assert "Traceback" not in refused.stderr
 
 
+@pytest.mark.slow
 def test_unknown_role_is_refused(tmp_path: Path) -> None:
     with running_server(tmp_path) as server:
         settings = Settings(home=tmp_path)
@@ -142,6 +146,7 @@ def test_unknown_role_is_refused(tmp_path: Path) -> None:
             assert "labeller" in response.json()["error"]["message"]
 
 
+@pytest.mark.slow
 def test_server_of_accord_up_closes_its_database_on_sigterm(tmp_path: Path) -> None:
     with listen("127.0.0.1", 0) as listener:
         process = subprocess.Popen(

@@ -38,6 +38,7 @@ def collector() -> Generator[tuple[str, list[ExportTraceServiceRequest]]]:
     server.server_close()
 
 
+@pytest.mark.slow
 def test_requests_are_traced_without_the_tokens_of_links(
     tmp_path: Path, collector: tuple[str, list[ExportTraceServiceRequest]]
 ) -> None:

@@ -175,6 +175,7 @@ def test_a_delivery_arrives_after_a_failure(open_api: ApiServer, receiver: Recei
     assert (row["status"], row["attempts"], row["response_status"], row["failure"]) == ("delivered", 2, 204, "")
 
 
+@pytest.mark.slow
 def test_a_delivery_survives_a_kill_while_it_is_sent(tmp_path: Path, receiver: Receiver) -> None:
     settings = Settings(home=tmp_path)
     database = Database.open(settings.resolved_database_url)

@@ -17,6 +17,8 @@ from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model, make_task, task_spec
 from support.mujoco_tasks import MUJOCO_TASKS
 
+pytestmark = pytest.mark.slow
+
 SMALL = RenderSettings(width=320, height=240)
 FRAMES = 8
 #: steps between frames; with random actions, episodes of many tasks end after twenty steps

@@ -32,6 +32,7 @@ def count_of(agent: int, frames: NDArray[np.uint8]) -> NDArray[np.int64]:
     return pixels_of(agent, frames).sum(axis=(1, 2))
 
 
+@pytest.mark.slow
 def test_two_processes_render_the_same_bytes(drawing: Drawing) -> None:
     first = drawing.frames(trot(6), SIX, SMALL)
     drawing.close()
@@ -75,6 +76,7 @@ def test_colour_moves_with_the_limb_of_its_agent(drawing: Drawing) -> None:
     assert changed[5] > 5 * changed[4]  # a little more or less of the shin is visible at the joint
 
 
+@pytest.mark.slow
 def test_whole_body_stays_in_view_during_a_wild_run(drawing: Drawing) -> None:
     frames = drawing.frames(wild_run(60), WHOLE_BODY, SMALL)
     shown = np.any([pixels_of(agent, frames) for agent in range(7)], axis=0)

@@ -198,6 +198,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(line, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_commands_export_from_a_home_folder_in_use_and_import_into_a_new_one(tmp_path: Path) -> None:
     with open_stores(tmp_path / "home") as stores:
         sample, _, _ = labelled(stores)
@@ -220,6 +221,7 @@ def test_commands_export_from_a_home_folder_in_use_and_import_into_a_new_one(tmp
     assert "Traceback" not in again.stderr
 
 
+@pytest.mark.slow
 def test_command_imports_a_file_of_another_program(tmp_path: Path) -> None:
     spec = task_spec("HalfCheetah-6x1")
     made = made_episodes([6], n_agents=6, observation_dim=spec.observation_dim, action_dim=1, known=("rewards",))

@@ -18,6 +18,8 @@ from mapt.rewards.stage_trainer import ACTIVATIONS_PER_PASS
 from mapt.tasks import task_spec
 from support.waiting import PATIENCE_SECONDS
 
+pytestmark = pytest.mark.slow
+
 TASK = "HalfCheetah-6x1"
 SPEC = task_spec(TASK)
 #: an estimate is at least half of the measured peak and at most twice as much

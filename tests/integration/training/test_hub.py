@@ -139,6 +139,7 @@ def test_a_run_is_pushed_and_pulled_with_its_evaluation_and_video(
         hub.pull(REPOSITORY, tmp_path / "pulled")
 
 
+@pytest.mark.slow
 def test_the_commands_push_and_pull(server: HubServer, reward: mapt.Reward, tmp_path: Path) -> None:
     """In a process of its own, with the environment variables of the client."""
     reward.save(tmp_path / "reward")

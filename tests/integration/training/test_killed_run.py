@@ -15,7 +15,7 @@ from support import short_tasks
 from support.training_runs import TIMINGS, reward_model, write_reward
 from support.waiting import until
 
-pytestmark = pytest.mark.usefixtures("short_episodes")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("short_episodes")]
 
 STEPS_PER_ITERATION = 4 * 24
 #: enough to kill the run long before its end

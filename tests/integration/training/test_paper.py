@@ -18,7 +18,8 @@ from support.mapt_command import run_mapt
 from support.training_runs import STEPS_PER_ITERATION
 from support.waiting import until
 
-pytestmark = pytest.mark.usefixtures("short_episodes")
+# The benchmark that most of the tests read takes a minute.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("short_episodes")]
 
 ENVIRONMENT = os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 TASK = short_tasks.SHORTEST_NAME

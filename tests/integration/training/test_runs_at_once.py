@@ -16,6 +16,8 @@ from mapt.training.run_folder import RunFolder
 from support.training_runs import reward_model, write_reward
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 SEEDS = (3, 4)
 #: for runs that are not interrupted
 SHORT = ("--steps", str(8 * STEPS_PER_ITERATION))

@@ -13,7 +13,7 @@ from mapt.training.run_folder import RunFolder
 from support import short_tasks
 from support.waiting import until
 
-pytestmark = pytest.mark.usefixtures("short_episodes")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("short_episodes")]
 
 N_ITERATIONS = 6
 FILE = f"""\

@@ -23,6 +23,7 @@ def lengths(harness: WorkerHarness) -> dict[str, int]:
     return dict(harness.rows("SELECT id, length_steps FROM segments"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("selection", ["recent", "disagreement_k_center"])
 def test_a_policy_learns_from_labels_on_segments_of_unequal_length(harness: WorkerHarness, selection: str) -> None:
     id = harness.create_experiment(**WALKER, query_selection=selection)

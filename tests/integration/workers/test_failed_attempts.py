@@ -64,6 +64,7 @@ def test_without_a_readable_checkpoint_the_experiment_fails_and_the_next_one_tra
     assert status_of(harness, second)[0] == "finished"
 
 
+@pytest.mark.slow
 def test_the_policy_uses_the_newest_reward_version_that_can_be_read(harness: WorkerHarness):
     id = harness.create_experiment()
     train_first_version(harness, id)

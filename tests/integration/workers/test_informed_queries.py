@@ -281,6 +281,7 @@ def start(experiment: RunningExperiment) -> Iterator[Any]:
         process.wait()
 
 
+@pytest.mark.slow
 def test_a_worker_killed_between_a_version_and_its_ensemble_resumes(experiment: RunningExperiment, start: Any):
     harness = experiment.harness
     with harness.database.transaction() as session:

@@ -70,6 +70,7 @@ def relabel(harness: WorkerHarness, user: UserRow, query_id: str, value: float) 
         label.put_label(session, user, query_id, value)
 
 
+@pytest.mark.slow
 def test_labels_of_an_opposite_labeller_lose_their_weight(harness: WorkerHarness, worker):
     id = open_queries(harness, worker)
     label_as_three(harness, id)
@@ -92,6 +93,7 @@ def test_labels_of_an_opposite_labeller_lose_their_weight(harness: WorkerHarness
     assert len(set(again.weights.tolist())) > 2
 
 
+@pytest.mark.slow
 def test_labels_of_one_labeller_are_not_weighted(harness: WorkerHarness, worker):
     id = open_queries(harness, worker, labels_per_pair=1)
     harness.label(id, 60)

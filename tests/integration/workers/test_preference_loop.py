@@ -21,6 +21,8 @@ from mapt.tasks import make_task
 from mapt.training.preference_loop import PreferenceLoop, Segment
 from support.policy_training import teacher_view
 
+pytestmark = pytest.mark.slow
+
 CURVES = ("learned_return", "policy_loss", "value_loss", "true_reward_correlation", "labels", "reward_version")
 
 

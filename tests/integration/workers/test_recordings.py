@@ -96,6 +96,7 @@ def test_a_policy_on_the_true_reward_is_recorded_before_and_after_training(harne
     assert [row[:2] for row in harness.rows(ROWS, id)] == [(0, None), (6 * STEPS_PER_ITERATION, None)]
 
 
+@pytest.mark.slow
 def test_a_run_killed_before_a_checkpoint_repeats_no_recording(harness: WorkerHarness):
     whole, killed = (harness.create_experiment(name, label_budget=8, seed=4) for name in ("whole", "killed"))
     for id in (whole, killed):

@@ -161,6 +161,7 @@ def test_segments_without_true_rewards_are_refused(tmp_path, recorded):
 IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, segments=12, seed=1)
 
 
+@pytest.mark.slow
 def test_a_worker_records_the_same_dataset_and_reports_progress(tmp_path):
     messages: list[RecordingProgress] = []
     (done,) = run_jobs(
@@ -188,6 +189,7 @@ def test_a_stopped_recording_leaves_no_files(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_killed_recording_starts_again(tmp_path):
     long = Recording("HalfCheetah-2x3", 10**9, 30, 12, 1)
     worker = multiprocessing.get_context("spawn").Process(target=record_dataset, args=(long, tmp_path / "recorded"))

@@ -47,6 +47,7 @@ def model_of(name, recorded):
     return build_reward_model(network_of(f"{name}:hidden_dim=8", "small", recorded.source.layout)).eval()
 
 
+@pytest.mark.slow
 def test_a_report_of_several_models_has_every_figure(tmp_path, recorded):
     models = {name: model_of(name, recorded) for name in ("MAPT", "MA-MLP", "MA-Transformer")}
     paths = make_report(models, recorded, PLAN, tmp_path / "report")

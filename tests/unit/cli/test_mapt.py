@@ -39,6 +39,7 @@ def arrays(output: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((output / "cells").glob("*.safetensors"))}
 
 
+@pytest.mark.slow
 def test_a_killed_table_resumes_with_the_same_results(tmp_path, datasets, mapt):
     process = subprocess.Popen(
         command(*table_arguments(datasets, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL

@@ -110,6 +110,7 @@ def test_same_seed_gives_the_same_ensemble():
     assert not same_weights(first, other)
 
 
+@pytest.mark.slow
 def test_training_in_processes_gives_the_same_ensemble():
     epochs = []
     networks, settings = config("MA-MLP"), replace(QUICK, markov_epochs=2, smoothness_factor=1.0)
@@ -120,6 +121,7 @@ def test_training_in_processes_gives_the_same_ensemble():
     assert [at.epoch for at in epochs] == [1, 2, 3, 4]
 
 
+@pytest.mark.slow
 def test_stop_ends_training_in_processes():
     endless = replace(QUICK, markov_epochs=10**6, markov_patience=10**6, markov_visits=10**9)
     epochs = []
@@ -149,6 +151,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_worker_processes_end_when_their_parent_is_killed(tmp_path):
     script = tmp_path / "parent.py"
     folder = Path(__file__).parent

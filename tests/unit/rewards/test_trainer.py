@@ -324,6 +324,7 @@ def test_label_noise_lowers_the_test_loss_on_wrong_labels():
     assert loss_on_fresh_pairs(0.3) < 0.8 * loss_on_fresh_pairs(0.0)
 
 
+@pytest.mark.slow
 def test_bfloat16_learns_the_same_preferences():
     config = replace(CONFIG, markov_path=False)
     settings = TrainConfig(max_epochs=6, device="cpu")
@@ -431,6 +432,7 @@ def test_attention_in_use_is_not_reviewed_before_labels_have_grown(monkeypatch):
     assert second.metrics["attention_gain"] == first.metrics["attention_gain"]
 
 
+@pytest.mark.slow
 def test_attention_that_was_accepted_by_chance_ends_with_more_labels(monkeypatch):
     first = accepted(monkeypatch)
     settings = replace(QUICK, markov_epochs=40)
@@ -529,6 +531,7 @@ def test_each_network_of_a_version_continues_from_its_own(monkeypatch):
     assert (single.metrics["networks"], single.metrics["attention_restart_labels"]) == (5, 85)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_pairs", [85, 100], ids=["further", "from untrained weights"])
 def test_networks_trained_in_processes_equal_those_of_one_process(monkeypatch, n_pairs):
     first, epochs = accepted(monkeypatch), []
