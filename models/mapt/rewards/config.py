@@ -272,8 +272,8 @@ class TrainConfig(Settings):
     smoothness_factor: Annotated[
         float,
         setting(
-            "The Markov path is also trained with markov_smoothness times this factor; the hold-out decides between "
-            "the two. 1: it is trained once.",
+            "The Markov path is also trained with markov_smoothness times this factor, unless its hold-out loss is "
+            "below 0.1 nats; the hold-out decides between the two. 1: it is trained once.",
             ge=1,
         ),
     ] = 10.0

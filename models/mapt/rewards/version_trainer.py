@@ -228,7 +228,7 @@ class VersionTrainer:
 
     @staticmethod
     def _can_gain(losses: Tensor, fold: Fold) -> bool:
-        """Whether a Markov path with these losses on a fold's evaluated pairs leaves attention something to gain."""
+        """Whether a Markov path with these losses on a fold's evaluated pairs leaves much to gain."""
         return losses.mean().item() - fold.evaluated.irreducible_loss >= attention_trial.MIN_MARKOV_LOSS
 
     def _restart(
@@ -334,8 +334,8 @@ class VersionTrainer:
     def _train_markov(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
         """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select.
 
-        It is trained a second time with `smoothness_factor`. How smooth the true reward is differs between tasks, and
-        the hold-out tells (docs/results/credit.md, "How smooth a reward is").
+        It is trained a second time with `smoothness_factor`, unless its loss is low. How smooth the true reward is
+        differs between tasks, and the hold-out tells (docs/results/credit.md, "How smooth a reward is").
         """
         stage = markov_stage(self._settings, len(fold.train), warm=warm)
         if stage is None or model.markov is None:
@@ -343,8 +343,8 @@ class VersionTrainer:
         start = copy.deepcopy(model.state_dict())
         losses = self._run_markov(model, fold, stage)
         smoother = replace(stage, smoothness=self._settings.smoothness_factor * stage.smoothness)
-        # Rewards that a few training pairs chose would be the rougher ones, which fit these pairs more closely.
-        if smoother == stage or not fold.is_reliable or self._log.stopped:
+        # Training pairs would choose the rougher rewards, which fit them more closely.
+        if smoother == stage or not fold.is_reliable or not self._can_gain(losses, fold) or self._log.stopped:
             return losses
         weights = copy.deepcopy(model.state_dict())
         model.load_state_dict(start)

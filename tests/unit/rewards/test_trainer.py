@@ -204,19 +204,38 @@ def test_smoothness_credits_the_steps_that_earn_the_return():
     assert within_segments(0.1) > within_segments(0.0) + 0.03
 
 
+MARKOV = replace(CONFIG, architecture="mlp", temporal="none")
+ROUGH = TrainConfig(markov_smoothness=0.001, smoothness_factor=1.0, markov_weight_decay=0.01, device="cpu")
+SMOOTH = replace(ROUGH, markov_smoothness=1.0)
+ROUGH_OR_SMOOTH = replace(ROUGH, smoothness_factor=1000.0)
+
+
+def with_random_numbers(data, count):
+    """`data` whose agents also observe `count` random numbers."""
+    segments = data.segments
+    numbers = np.random.default_rng(0).normal(size=(*segments.observations.shape[:3], count)).astype(np.float32)
+    observations = np.concatenate([segments.observations, numbers], axis=-1)
+    return PreferenceDataset(replace(segments, observations=observations), data.pairs, data.labels)
+
+
 @pytest.mark.parametrize("is_smooth", [True, False])
 def test_hold_out_chooses_how_smooth_the_markov_path_is(is_smooth):
-    config = replace(CONFIG, architecture="mlp", temporal="none")
-    data = preferences(100, seed=1)
+    config, data = MARKOV, preferences(60, seed=1)
     if is_smooth:
-        config, data = replace(config, observation_dim=2), preferences_with_a_potential(100, seed=2)[0]
-    settings = TrainConfig(markov_smoothness=0.001, smoothness_factor=1.0, markov_weight_decay=0.01, device="cpu")
-    rough = train_reward_model(data, config, settings)
-    smooth = train_reward_model(data, config, replace(settings, markov_smoothness=1.0))
-    chosen = train_reward_model(data, config, replace(settings, smoothness_factor=1000.0))
+        config, data = (
+            replace(MARKOV, observation_dim=12),
+            with_random_numbers(preferences_with_a_potential(60, 2)[0], 10),
+        )
+    rough, smooth, chosen = (train_reward_model(data, config, each) for each in (ROUGH, SMOOTH, ROUGH_OR_SMOOTH))
     assert same_weights(chosen.model, (smooth if is_smooth else rough).model)
     assert chosen.metrics["holdout_loss"] == min(rough.metrics["holdout_loss"], smooth.metrics["holdout_loss"])
     assert chosen.metrics["epochs"] == rough.metrics["epochs"] + smooth.metrics["epochs"]
+
+
+def test_markov_path_with_a_low_hold_out_loss_is_trained_once():
+    rough, chosen = (train_reward_model(preferences(60), MARKOV, each) for each in (ROUGH, ROUGH_OR_SMOOTH))
+    assert rough.metrics["holdout_loss"] < 0.05
+    assert chosen.metrics["epochs"] == rough.metrics["epochs"]
 
 
 def test_reward_that_keeps_its_mean_makes_a_further_step_worth_something():
@@ -267,8 +286,7 @@ def test_warm_start_continues_from_the_model_without_changing_it():
 
 
 def test_warm_start_keeps_warm_share_of_the_markov_path():
-    markov = replace(CONFIG, architecture="mlp", temporal="none")
-    first = train_reward_model(preferences(80), markov, QUICK).model
+    first = train_reward_model(preferences(80), MARKOV, replace(QUICK, smoothness_factor=1.0)).model
     kept = start_weights(markov_stage(replace(QUICK, warm_share=0.25), 80, warm=True), first)
     before, after = (weights["markov.second.weight"].flatten() for weights in (first.state_dict(), kept))
     # The new weights are small and independent of the old ones, so the projection is about `warm_share`.
