@@ -23,7 +23,7 @@ run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in
 test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then the tests, in about ten minutes
 	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment and not slow and not docs" $(SIDE_BY_SIDE)
 
-test-slow: $(INSTALLED) system-test ## The 5% of the tests that take half of their time: trainings, whole services, most of the browser; part of CI
+test-slow: $(INSTALLED) system-test ## The 7% of the tests that take more than half of the time: trainings, whole services, most of the browser; part of CI
 	$(BIN)/python -m pytest --quiet -m slow $(SIDE_BY_SIDE)
 
 test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI

@@ -13,6 +13,8 @@ from mapt.policies import Learner, PolicyConfig, Rollout, evaluate
 from mapt.tasks import Task, make_task
 from support.policy_training import train, true_reward
 
+pytestmark = pytest.mark.slow
+
 HORIZON_STEPS = 8
 CONFIG = PolicyConfig(
     n_envs=32, rollout_steps=16, minibatches=4, epochs=8, learning_rate=2e-3, hidden=(32,), seed=1, device="cpu"

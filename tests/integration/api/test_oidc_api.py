@@ -16,6 +16,8 @@ from support.api_in_thread import ApiServer, run_api_server
 from support.oidc_provider import OidcProvider, running_oidc_provider
 from support.stores import Stores
 
+pytestmark = pytest.mark.slow
+
 START, CALLBACK = "/api/v1/oidc/start", "/api/v1/oidc/callback"
 
 

@@ -23,6 +23,8 @@ from accord.workers.runner import Stop
 from integration.workers.worker_harness import STEPS_PER_ITERATION, SingleThreadedRewardWorker, WorkerHarness
 from support.waiting import until
 
+pytestmark = pytest.mark.slow
+
 SETTINGS: dict[str, Any] = {
     "query_selection": "disagreement",
     "control_share": 0.25,
@@ -281,7 +283,6 @@ def start(experiment: RunningExperiment) -> Iterator[Any]:
         process.wait()
 
 
-@pytest.mark.slow
 def test_a_worker_killed_between_a_version_and_its_ensemble_resumes(experiment: RunningExperiment, start: Any):
     harness = experiment.harness
     with harness.database.transaction() as session:

@@ -475,6 +475,7 @@ def test_attention_that_still_gains_stays_in_use(monkeypatch):
     assert second.metrics["attention_gain"] != first.metrics["attention_gain"]
 
 
+@pytest.mark.slow
 def test_attention_ends_where_a_markov_path_leaves_nothing_to_gain(monkeypatch):
     first = accepted(monkeypatch)
     monkeypatch.setattr(attention_trial, "is_futile", lambda gains: False)
@@ -524,6 +525,7 @@ def test_a_version_with_attention_is_the_mean_of_networks_that_held_out_differen
     assert version.metrics["holdout_loss"] == pytest.approx(losses.mean().item(), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_networks_of_a_trial_are_used_and_one_network_can_be_asked_for(monkeypatch):
     monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True if is_last else None)
     tried, fewer = (train_reward_model(preferences(80), CONFIG, replace(QUICK, networks=n)) for n in (5, 2))
@@ -538,6 +540,7 @@ def test_the_networks_of_a_trial_are_used_and_one_network_can_be_asked_for(monke
     assert alone.metrics["holdout_labels"] < tried.metrics["holdout_labels"]
 
 
+@pytest.mark.slow
 def test_each_network_of_a_version_continues_from_its_own(monkeypatch):
     first = accepted(monkeypatch)
     further = train_reward_model(preferences(85), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
@@ -575,6 +578,7 @@ def test_networks_trained_in_processes_equal_those_of_one_process(monkeypatch, n
     assert side_by_side.metrics["epochs"] == alone.metrics["epochs"] == len(epochs) / 2
 
 
+@pytest.mark.slow
 def test_stop_ends_networks_in_processes(monkeypatch):
     first, epochs = accepted(monkeypatch), []
     # The first network ends after three epochs; then, four others train in two processes.
