@@ -340,19 +340,17 @@ class VersionTrainer:
         stage = markov_stage(self._settings, len(fold.train), warm=warm)
         if stage is None or model.markov is None:
             return self._losses(model, fold)
-        start = copy.deepcopy(model.state_dict())
+        other = copy.deepcopy(model)
         losses = self._run_markov(model, fold, stage)
         smoother = replace(stage, smoothness=self._settings.smoothness_factor * stage.smoothness)
         # Training pairs would choose the rougher rewards, which fit them more closely.
         if smoother == stage or not fold.is_reliable or not self._can_gain(losses, fold) or self._log.stopped:
             return losses
-        weights = copy.deepcopy(model.state_dict())
-        model.load_state_dict(start)
-        smoother_losses = self._run_markov(model, fold, smoother)
-        if smoother_losses.mean() < losses.mean() and not self._log.stopped:
-            return smoother_losses
-        model.load_state_dict(weights)
-        return losses
+        smoother_losses = self._run_markov(other, fold, smoother)
+        if self._log.stopped or smoother_losses.mean() >= losses.mean():
+            return losses
+        model.load_state_dict(other.state_dict())
+        return smoother_losses
 
     def _run_markov(self, model: RewardNetwork, fold: Fold, stage: StageSettings) -> Tensor:
         """One run of the Markov stage; returns losses as `_train_markov` does."""

@@ -222,10 +222,8 @@ def with_random_numbers(data, count):
 def test_hold_out_chooses_how_smooth_the_markov_path_is(is_smooth):
     config, data = MARKOV, preferences(60, seed=1)
     if is_smooth:
-        config, data = (
-            replace(MARKOV, observation_dim=12),
-            with_random_numbers(preferences_with_a_potential(60, 2)[0], 10),
-        )
+        data = with_random_numbers(preferences_with_a_potential(60, seed=2)[0], 10)
+        config = replace(MARKOV, observation_dim=data.segments.observations.shape[-1])
     rough, smooth, chosen = (train_reward_model(data, config, each) for each in (ROUGH, SMOOTH, ROUGH_OR_SMOOTH))
     assert same_weights(chosen.model, (smooth if is_smooth else rough).model)
     assert chosen.metrics["holdout_loss"] == min(rough.metrics["holdout_loss"], smooth.metrics["holdout_loss"])
@@ -286,6 +284,7 @@ def test_warm_start_continues_from_the_model_without_changing_it():
 
 
 def test_warm_start_keeps_warm_share_of_the_markov_path():
+    # The weights of a smoother path are small beside the new ones.
     first = train_reward_model(preferences(80), MARKOV, replace(QUICK, smoothness_factor=1.0)).model
     kept = start_weights(markov_stage(replace(QUICK, warm_share=0.25), 80, warm=True), first)
     before, after = (weights["markov.second.weight"].flatten() for weights in (first.state_dict(), kept))
