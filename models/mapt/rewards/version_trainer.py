@@ -36,8 +36,8 @@ from mapt.rewards.parallel import TrainingJob, train_in_processes
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
     StageSettings,
+    is_clearly_worse,
     is_reliable,
-    is_significant,
     markov_stage,
     n_networks,
     network_stage,
@@ -234,7 +234,7 @@ class VersionTrainer:
     def _restart(
         self, model: RewardNetwork, initial: RewardModel, metrics: Mapping[str, float | None] | None
     ) -> RewardNetwork | None:
-        """The whole network trained from untrained weights; None if not due, or significantly worse than `model`.
+        """The whole network trained from untrained weights; None if not due, or clearly worse than `model`.
 
         Trained further and further, a network keeps what it learned from its first few labels. That the new one is
         slightly worse on a few dozen pairs is mostly chance, and the earlier one would learn nothing from new labels.
@@ -250,7 +250,7 @@ class VersionTrainer:
         self._train_network(fresh, self._first)
         if incomplete:
             return fresh
-        return None if is_significant(self._losses(fresh) - self._losses(model)) else fresh
+        return None if is_clearly_worse(self._losses(model), self._losses(fresh)) else fresh
 
     def restarted_on(self, initial_metrics: Mapping[str, float | None] | None) -> float:
         """Labels when the whole network was last trained from untrained weights; NaN if that is unknown."""

@@ -4,6 +4,7 @@ import torch
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.schedule import (
     StageSettings,
+    is_clearly_worse,
     is_out_of_patience,
     is_significant,
     markov_stage,
@@ -66,6 +67,17 @@ def test_a_markov_version_that_is_worse_by_chance_replaces_its_parent():
     after = before + torch.tensor([0.3, -0.28]).repeat(10)
     assert replaces(before, after, markov=True)
     assert not replaces(before, after, markov=False)
+
+
+def test_a_network_that_is_certain_of_wrong_predictions_is_clearly_worse():
+    before, diverged = torch.full((18,), 0.3), torch.tensor([0.0] * 15 + [500.0, 8000.0, 30000.0])
+    assert not is_significant(diverged - before)
+    assert is_clearly_worse(before, diverged)
+    assert not replaces(before, diverged, markov=True)
+
+
+def test_of_two_networks_worse_than_a_coin_flip_the_better_is_not_clearly_worse():
+    assert not is_clearly_worse(torch.full((18,), 0.8), torch.tensor([0.6, 0.9] * 9))
 
 
 @pytest.mark.parametrize(
