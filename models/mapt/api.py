@@ -329,12 +329,18 @@ def load_policy(path: str | Path, task: Task) -> TrainedPolicy:
 
 
 def evaluate(
-    policy: TrainedPolicy | Policy, task: Task | None = None, *, episodes: int = EPISODES, seed: int = 0
+    policy: TrainedPolicy | Policy,
+    task: Task | None = None,
+    *,
+    episodes: int = EPISODES,
+    deterministic: bool = True,
+    seed: int = 0,
 ) -> Evaluation:
-    """True returns of whole episodes with mean actions.
+    """True returns of whole episodes.
 
     Args:
         task: is reset; default: a new one of the same name.
+        deterministic: with the mean or the most likely actions instead of sampled ones.
 
     Raises:
         InvalidConfig: if the policy's task was made with other options than the defaults, and no task is given.
@@ -346,7 +352,7 @@ def evaluate(
             raise InvalidConfig("The policy's task has options. Pass a task that was made with them.", "task")
         task = own = make_task(acting.spec.name, min(episodes, EPISODES))
     try:
-        played = play(acting, task, episodes, seed=seed + SEED_OF_STARTS)
+        played = play(acting, task, episodes, deterministic=deterministic, seed=seed + SEED_OF_STARTS)
     finally:
         if own is not None:
             own.close()

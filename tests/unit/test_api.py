@@ -46,6 +46,7 @@ def test_a_policy_is_trained_on_labelled_segments_and_saved(
     found = mapt.evaluate(policy, other, episodes=2)
     assert found == mapt.evaluate(stored, other, episodes=2)
     assert found.lengths == (1000, 1000)
+    assert found.returns != mapt.evaluate(policy, other, episodes=2, deterministic=False).returns
 
 
 def test_a_policys_reward_may_be_lower_in_states_that_the_segments_do_not_show(

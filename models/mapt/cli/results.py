@@ -1,6 +1,7 @@
 """The subcommands `mapt evaluate` and `mapt curves`."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +27,15 @@ def evaluate(
     run: Annotated[Path, typer.Argument(help="Run folder, or a policy checkpoint.")],
     *,
     episodes: Annotated[int, typer.Option(min=1, help="Number of whole episodes.")] = EPISODES,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the initial states.")] = 0,
+    sampled: Annotated[
+        bool,
+        typer.Option(
+            "--sampled",
+            help="Sample actions, as in training, instead of taking the mean or the most likely ones. The video does "
+            "not.",
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the initial states and of sampled actions.")] = 0,
     agent_obsk: Annotated[
         int | None,
         typer.Option(min=0, help="How many joints away an agent observes.  [default: as in run.json, or 1]"),
@@ -42,13 +51,20 @@ def evaluate(
 ) -> None:
     """Evaluate a trained policy by the true reward, and by a scripted teacher.
 
-    The policy acts by its mean actions. Prints mean, standard deviation and interquartile mean of the return.
+    The policy acts by its mean actions, or by the most likely ones if they are discrete. Prints mean, standard
+    deviation and interquartile mean of the return.
     """
     saved = load_policy(run, device, agent_obsk)
-    evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, episodes=episodes, seed=seed)
+    playing: dict[str, Any] = {
+        "agent_obsk": saved.agent_obsk,
+        "episodes": episodes,
+        "deterministic": not sampled,
+        "seed": seed,
+    }
+    evaluation = evaluate_policy(saved.policy, saved.task, **playing)
     segment_steps = segment_steps or task_spec(saved.task).segment_steps
     about = {"task": saved.task, "algorithm": saved.algorithm, "steps": saved.steps}
-    scores = _scores(saved, teacher, segment_steps, episodes, seed) if teacher else np.zeros(0)
+    scores = _scores(saved, teacher, segment_steps, playing) if teacher else np.zeros(0)
     if as_json:
         judged = {"teacher": teacher, "teacher_scores": scores.tolist()} if teacher else {}
         print_json(about | evaluation.to_dict() | judged)
@@ -63,18 +79,11 @@ def evaluate(
             print_paths(video)
 
 
-def _scores(saved: SavedPolicy, teacher: str, segment_steps: int, episodes: int, seed: int) -> NDArray[np.float64]:
+def _scores(saved: SavedPolicy, teacher: str, segment_steps: int, playing: Mapping[str, Any]) -> NDArray[np.float64]:
     named = NamedSettings.parse(teacher)
-    parameters: dict[str, Any] = {"seed": seed, **named.settings}
-    return score_policy(
-        saved.policy,
-        saved.task,
-        make_teacher(named.name, **parameters),
-        agent_obsk=saved.agent_obsk,
-        segment_steps=segment_steps,
-        episodes=episodes,
-        seed=seed,
-    )
+    parameters: dict[str, Any] = {"seed": playing["seed"], **named.settings}
+    judge = make_teacher(named.name, **parameters)
+    return score_policy(saved.policy, saved.task, judge, segment_steps=segment_steps, **playing)
 
 
 def curves(

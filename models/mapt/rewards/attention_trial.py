@@ -28,7 +28,7 @@ FUTILE_THRESHOLD = 1.0
 # 2,503 labels of an oracle took all five folds, 32 minutes on shared cores, to reject 0.007 nats.
 MIN_GAIN = 0.02
 # The gain is at most the loss of the Markov path. Below this many nats, as with an oracle's labels of HalfCheetah-6x1,
-# there is no trial, nor a second training of the Markov path with more smoothness.
+# there is no trial, nor a training of the Markov path with more smoothness.
 MIN_MARKOV_LOSS = 0.1
 
 # Metrics of a version.

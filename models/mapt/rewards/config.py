@@ -272,8 +272,9 @@ class TrainConfig(Settings):
     smoothness_factor: Annotated[
         float,
         setting(
-            "The Markov path is also trained with markov_smoothness times this factor, unless its hold-out loss is "
-            "below 0.1 nats; the hold-out decides between the two. 1: it is trained once.",
+            "The Markov path is trained again with markov_smoothness times this factor, then times its square and so "
+            "on, for as long as that lowers its hold-out loss, unless the loss is below 0.1 nats. 1: it is trained "
+            "once.",
             ge=1,
         ),
     ] = 10.0

@@ -1,7 +1,7 @@
 """The stages of a reward model's training, and the tests on the hold-out that stop a stage or a version.
 
 1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network, and is
-   sufficient if the true reward is Markov. Unless its loss is low, a second run with `smoothness_factor` competes.
+   sufficient if the true reward is Markov. Unless its loss is low, runs with more smoothness compete.
 2. The whole network. Beside a Markov path, it starts from untrained weights, in which the attention path contributes
    and the Markov path does not: a trained Markov path has overfitted preferences that no Markov reward explains, and
    leaves little for attention to learn. The result must win a trial (`attention_trial.py`). With a hold-out that is too

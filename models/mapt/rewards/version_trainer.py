@@ -334,23 +334,27 @@ class VersionTrainer:
     def _train_markov(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
         """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select.
 
-        It is trained a second time with `smoothness_factor`, unless its loss is low. How smooth the true reward is
-        differs between tasks, and the hold-out tells (docs/results/credit.md, "How smooth a reward is").
+        It is trained again with more smoothness for as long as that lowers the loss, unless the loss is low. How smooth
+        the true reward is differs between tasks, and the hold-out tells (docs/results/credit.md, "How smooth a reward
+        is").
         """
         stage = markov_stage(self._settings, len(fold.train), warm=warm)
         if stage is None or model.markov is None:
             return self._losses(model, fold)
-        other = copy.deepcopy(model)
+        start = copy.deepcopy(model)
         losses = self._run_markov(model, fold, stage)
-        smoother = replace(stage, smoothness=self._settings.smoothness_factor * stage.smoothness)
         # Training pairs would choose the rougher rewards, which fit them more closely.
-        if smoother == stage or not fold.is_reliable or not self._can_gain(losses, fold) or self._log.stopped:
-            return losses
-        smoother_losses = self._run_markov(other, fold, smoother)
-        if self._log.stopped or smoother_losses.mean() >= losses.mean():
-            return losses
-        model.load_state_dict(other.state_dict())
-        return smoother_losses
+        while fold.is_reliable and self._can_gain(losses, fold) and not self._log.stopped:
+            smoother = replace(stage, smoothness=self._settings.smoothness_factor * stage.smoothness)
+            if smoother == stage:
+                break
+            other = copy.deepcopy(start)
+            other_losses = self._run_markov(other, fold, smoother)
+            if self._log.stopped or other_losses.mean() >= losses.mean():
+                break
+            model.load_state_dict(other.state_dict())
+            losses, stage = other_losses, smoother
+        return losses
 
     def _run_markov(self, model: RewardNetwork, fold: Fold, stage: StageSettings) -> Tensor:
         """One run of the Markov stage; returns losses as `_train_markov` does."""

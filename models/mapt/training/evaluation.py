@@ -78,17 +78,25 @@ class Evaluation:
 
 
 def evaluate_policy(
-    policy: Policy, task_name: str, *, agent_obsk: int, episodes: int = EPISODES, seed: int = 0, n_threads: int = 0
+    policy: Policy,
+    task_name: str,
+    *,
+    agent_obsk: int,
+    episodes: int = EPISODES,
+    deterministic: bool = True,
+    seed: int = 0,
+    n_threads: int = 0,
 ) -> Evaluation:
-    """Play whole episodes with mean actions.
+    """Play whole episodes.
 
     Args:
-        seed: seed of the initial states.
+        deterministic: with the mean or the most likely actions instead of sampled ones.
+        seed: of the initial states, and of sampled actions.
         n_threads: as in `make_task`.
     """
     task = make_task(task_name, min(episodes, _MOST_ENVS), n_threads=n_threads, agent_obsk=agent_obsk)
     try:
-        played = play(policy, task, episodes, seed=seed + SEED_OF_STARTS)
+        played = play(policy, task, episodes, deterministic=deterministic, seed=seed + SEED_OF_STARTS)
     finally:
         task.close()
     return Evaluation.of(played)

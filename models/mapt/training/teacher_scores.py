@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from mapt.errors import DamagedRun
 from mapt.io import atomic_write
@@ -51,16 +52,18 @@ def score_policy(
     agent_obsk: int,
     segment_steps: int,
     episodes: int = EPISODES,
+    deterministic: bool = True,
     seed: int = 0,
 ) -> Float64s:
-    """Scores (S,) of the segments of whole episodes with mean actions, without the teacher's mistakes and skips.
+    """Scores (S,) of the segments of whole episodes, without the teacher's mistakes and skips.
 
     S is 0 if every episode terminates before a segment fits. The episodes are those of `evaluate_policy` with the same
-    seed, if it plays all of them in parallel.
+    arguments, if it plays all of them in parallel.
 
     Args:
         segment_steps: T. Segments do not overlap; see `cut_rollout`.
-        seed: of the initial states and of the segments' offsets.
+        deterministic: with the mean or the most likely actions instead of sampled ones.
+        seed: of the initial states, of sampled actions and of the segments' offsets.
 
     Raises:
         InvalidTeacher: if the teacher cannot judge this task.
@@ -69,23 +72,27 @@ def score_policy(
     teacher.check_task(task_name, discrete_actions=task_spec(task_name).discrete_actions)
     task = make_task(task_name, episodes, agent_obsk=agent_obsk)
     try:
-        segments = _segments(policy, task, segment_steps, seed + SEED_OF_STARTS)
+        segments = _segments(policy, task, segment_steps, seed + SEED_OF_STARTS, deterministic=deterministic)
     finally:
         task.close()
     return teacher.scores(TeacherView.stack(segments)) if segments else np.zeros(0)
 
 
-def _segments(policy: Policy, task: Task, segment_steps: int, seed: int) -> list[dict[str, np.ndarray]]:
+def _segments(
+    policy: Policy, task: Task, segment_steps: int, seed: int, *, deterministic: bool
+) -> list[dict[str, np.ndarray]]:
     """The segments of one episode of each environment."""
     steps: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "rewards", "qpos", "qvel")}
     terminated: list[np.ndarray] = []
     lengths = np.zeros(task.n_envs, dtype=np.int64)
     playing = np.ones(task.n_envs, dtype=bool)
     starts = [playing]
+    generator = torch.Generator().manual_seed(seed)
     observations, _ = task.reset(seed)
     while playing.any():
         qpos, qvel = task.simulator_state()
-        actions = policy.act(observations, None, available_actions(task))
+        noise = None if deterministic else policy.noise((), task.n_envs, generator)
+        actions = policy.act(observations, noise, available_actions(task))
         step = task.step(actions)
         for name, array in zip(steps, (observations, actions, step.reward, qpos, qvel), strict=True):
             steps[name].append(array)

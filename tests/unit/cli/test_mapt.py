@@ -172,6 +172,9 @@ def test_runs_are_trained_evaluated_and_compared(mapt, tmp_path):
     evaluation = json.loads(evaluated.printed)
     assert evaluation["steps"] == 2 * STEPS_PER_ITERATION
     assert len(evaluation["returns"]) == evaluation["episodes"] == 3
+    sampling = ("--episodes", "3", "--json", "--device", "cpu", "--sampled")
+    sampled = [mapt("evaluate", tmp_path / "runs" / "seed-1", *sampling).printed for _ in range(2)]
+    assert sampled[0] == sampled[1] != evaluated.printed
     judging = ("--teacher", "phase:want=equal", "--segment-steps", "8")
     judged = mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3", *judging)
     assert "over 3 episodes of 20 steps" in judged.printed

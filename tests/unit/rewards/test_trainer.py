@@ -206,8 +206,7 @@ def test_smoothness_credits_the_steps_that_earn_the_return():
 
 MARKOV = replace(CONFIG, architecture="mlp", temporal="none")
 ROUGH = TrainConfig(markov_smoothness=0.001, smoothness_factor=1.0, markov_weight_decay=0.01, device="cpu")
-SMOOTH = replace(ROUGH, markov_smoothness=1.0)
-ROUGH_OR_SMOOTH = replace(ROUGH, smoothness_factor=1000.0)
+CHOSEN = replace(ROUGH, smoothness_factor=1000.0)
 
 
 def with_random_numbers(data, count):
@@ -218,20 +217,25 @@ def with_random_numbers(data, count):
     return PreferenceDataset(replace(segments, observations=observations), data.pairs, data.labels)
 
 
-@pytest.mark.parametrize("is_smooth", [True, False])
-def test_hold_out_chooses_how_smooth_the_markov_path_is(is_smooth):
+@pytest.mark.parametrize(("is_smooth", "factor", "best"), [(False, 1000.0, 0), (True, 100.0, 1)])
+def test_markov_path_becomes_smoother_for_as_long_as_its_hold_out_loss_falls(monkeypatch, is_smooth, factor, best):
+    monkeypatch.setattr(attention_trial, "MIN_MARKOV_LOSS", 0.0)
     config, data = MARKOV, preferences(60, seed=1)
     if is_smooth:
         data = with_random_numbers(preferences_with_a_potential(60, seed=2)[0], 10)
         config = replace(MARKOV, observation_dim=data.segments.observations.shape[-1])
-    rough, smooth, chosen = (train_reward_model(data, config, each) for each in (ROUGH, SMOOTH, ROUGH_OR_SMOOTH))
-    assert same_weights(chosen.model, (smooth if is_smooth else rough).model)
-    assert chosen.metrics["holdout_loss"] == min(rough.metrics["holdout_loss"], smooth.metrics["holdout_loss"])
-    assert chosen.metrics["epochs"] == rough.metrics["epochs"] + smooth.metrics["epochs"]
+    chosen = train_reward_model(data, config, replace(CHOSEN, smoothness_factor=factor))
+    smoothness = [ROUGH.markov_smoothness * factor**power for power in range(best + 2)]
+    runs = [train_reward_model(data, config, replace(ROUGH, markov_smoothness=each)) for each in smoothness]
+    losses = [run.metrics["holdout_loss"] for run in runs]
+    assert losses[: best + 1] == sorted(losses[: best + 1], reverse=True)
+    assert losses[best] < losses[best + 1]
+    assert same_weights(chosen.model, runs[best].model)
+    assert chosen.metrics["epochs"] == sum(run.metrics["epochs"] for run in runs)
 
 
 def test_markov_path_with_a_low_hold_out_loss_is_trained_once():
-    rough, chosen = (train_reward_model(preferences(60), MARKOV, each) for each in (ROUGH, ROUGH_OR_SMOOTH))
+    rough, chosen = (train_reward_model(preferences(60), MARKOV, each) for each in (ROUGH, CHOSEN))
     assert rough.metrics["holdout_loss"] < 0.05
     assert chosen.metrics["epochs"] == rough.metrics["epochs"]
 

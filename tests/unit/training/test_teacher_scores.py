@@ -24,15 +24,17 @@ def policy(settings):
     return untrained_policy(task_spec(SHORTEST_NAME), settings().policy)
 
 
-def score(policy, teacher: str, segment_steps: int, **options: int):
+def score(policy, teacher: str, segment_steps: int, **options):
     return score_policy(
         policy, SHORTEST_NAME, make_teacher(teacher), agent_obsk=1, segment_steps=segment_steps, episodes=4, **options
     )
 
 
-def test_the_oracles_scores_of_whole_episodes_are_their_returns(policy):
-    returns = evaluate_policy(policy, SHORTEST_NAME, agent_obsk=1, episodes=4, seed=2).returns
-    scores = score(policy, "oracle", task_spec(SHORTEST_NAME).horizon_steps, seed=2)
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_the_oracles_scores_of_whole_episodes_are_their_returns(policy, deterministic):
+    playing = {"seed": 2, "deterministic": deterministic}
+    returns = evaluate_policy(policy, SHORTEST_NAME, agent_obsk=1, episodes=4, **playing).returns
+    scores = score(policy, "oracle", task_spec(SHORTEST_NAME).horizon_steps, **playing)
     # Segments come in random order.
     np.testing.assert_allclose(np.sort(scores), np.sort(returns), rtol=1e-12)
 
