@@ -29,9 +29,6 @@ INSTRUCTIONS = (
     "The numbered agents attack the goal on the right. They should score a goal soon: pass to a free player and shoot "
     "when they can. An attempt is over when the opponents get the ball or the ball leaves the pitch."
 )
-#: Segments hold whole attempts, or most of one. Labels say which of two segments is better and not by how much: from
-#: segments of 50 steps, that a goal is worth more than 50 steps near the opponents' goal, where a policy then stays.
-SEGMENT_STEPS = 100
 POLICY_SETTINGS: Mapping[str, object] = {
     # Each environment is a process.
     "n_envs": 8,
@@ -198,7 +195,6 @@ class FootballDefinition(WithoutModel):
             instructions=INSTRUCTIONS,
             discrete_actions=True,
             masks_actions=True,
-            segment_steps=SEGMENT_STEPS,
             policy_settings=POLICY_SETTINGS,
         )
 
