@@ -10,12 +10,14 @@ task, all matches wait for the slowest in each step. `times` is the task's rate 
     python tests/benchmarks/bench_football.py [rounds] [processes]
 """
 
+import io
 import logging
 import statistics
 import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,9 +110,13 @@ class GoogleResearchFootball:
 
     def __call__(self, _job: int, _parent: ParentConnection) -> None:
         if self._env is None:
+            # Gym says in several ways that it is not maintained, in each process.
             warnings.simplefilter("ignore")
             logging.disable(logging.WARNING)
-            from gfootball.env import create_environment
+            with redirect_stderr(io.StringIO()):
+                from gfootball.env import create_environment
+                from gym import logger
+            logger.set_level(logger.ERROR)
 
             self._env = create_environment(
                 env_name=self._scenario.engine_name,
