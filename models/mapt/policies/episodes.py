@@ -1,6 +1,7 @@
 """Play whole episodes with a policy, and measure their true returns."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,24 @@ class Episodes:
     successes: NDArray[np.bool_] | None = None
 
 
+def actor(
+    policy: Policy, task: Task, *, deterministic: bool, seed: int
+) -> Callable[[NDArray[np.floating]], NDArray[np.float32]]:
+    """What a policy does on a task: a function from observations (E, N, C) to actions (E, N, A).
+
+    Args:
+        deterministic: take the mean or the most likely action instead of sampling.
+        seed: of the samples.
+    """
+    generator = torch.Generator().manual_seed(seed)
+
+    def act(observations: NDArray[np.floating]) -> NDArray[np.float32]:
+        noise = None if deterministic else policy.noise((), task.n_envs, generator)
+        return policy.act(observations, noise, available_actions(task))
+
+    return act
+
+
 def play(
     policy: Learner | Policy, task: Task, episodes: int = 32, *, deterministic: bool = True, seed: int = 0
 ) -> Episodes:
@@ -39,7 +58,7 @@ def play(
         seed: seed of the initial states and of the samples.
     """
     acting = policy.policy if isinstance(policy, Learner) else policy
-    generator = torch.Generator().manual_seed(seed)
+    act = actor(acting, task, deterministic=deterministic, seed=seed)
     n_rounds = math.ceil(episodes / task.n_envs)
     # Environments that finish early continue into the spare last row.
     returns = np.zeros((n_rounds + 1, task.n_envs))
@@ -50,8 +69,7 @@ def play(
     envs = np.arange(task.n_envs)
     observations, _ = task.reset(seed)
     while played.min() < n_rounds:
-        noise = None if deterministic else acting.noise((), task.n_envs, generator)
-        step = task.step(acting.act(observations, noise, available_actions(task)))
+        step = task.step(act(observations))
         returns[played, envs] += step.reward
         lengths[played, envs] += 1
         if step.success is not None:

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from mapt.errors import DamagedRun
 from mapt.io import atomic_write
 from mapt.policies import Policy
-from mapt.policies.rollout import available_actions
+from mapt.policies.episodes import actor
 from mapt.preferences.segments import cut_rollout
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView
 from mapt.preferences.teachers.view import Float64s
@@ -87,12 +86,11 @@ def _segments(
     lengths = np.zeros(task.n_envs, dtype=np.int64)
     playing = np.ones(task.n_envs, dtype=bool)
     starts = [playing]
-    generator = torch.Generator().manual_seed(seed)
+    act = actor(policy, task, deterministic=deterministic, seed=seed)
     observations, _ = task.reset(seed)
     while playing.any():
         qpos, qvel = task.simulator_state()
-        noise = None if deterministic else policy.noise((), task.n_envs, generator)
-        actions = policy.act(observations, noise, available_actions(task))
+        actions = act(observations)
         step = task.step(actions)
         for name, array in zip(steps, (observations, actions, step.reward, qpos, qvel), strict=True):
             steps[name].append(array)
