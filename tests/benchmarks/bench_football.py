@@ -1,4 +1,4 @@
-"""Environment steps per second of the football tasks, beside their engine alone and Google Research Football.
+"""Engine steps per second of the football tasks, beside their engine alone and Google Research Football.
 
 All run in the same number of processes. `engine` replays a recorded round of the task with equal actions and seeds,
 without observations, and must end in the same states. `gfootball` is Google Research Football's own environment with
@@ -29,6 +29,7 @@ from mapt.processes import JobProcess, ParentConnection, end_job_processes
 from mapt.tasks import make_task
 from mapt.tasks.football.engine import INSTALL, EngineMatch, is_installed
 from mapt.tasks.football.scenarios import SCENARIOS, Scenario
+from mapt.tasks.football.task import Football
 
 #: of each match in a round
 STEPS = 60
@@ -45,30 +46,33 @@ class Round:
     #: of the first matches (E,), and of the next one after each step (L, E)
     first_seeds: NDArray[np.int64]
     seeds: NDArray[np.int64]
-    #: bool (L, E): the step ended the match
+    #: bool (L, E): the step was played on the engine, not spent in the last state of a match; it ended the match
+    played: NDArray[np.bool_]
     over: NDArray[np.bool_]
-    #: (E, nq): the last states
+    #: (E, nq): the last states of the engine
     states: NDArray[np.float64]
 
 
 def record(scenario: Scenario, n_envs: int) -> Round:
     """Record a round with uniformly random available actions."""
     task, rng = make_task(scenario.name, n_envs), np.random.default_rng(1)
+    assert isinstance(task, Football)
     task.reset(0)
     # As `Football` draws them.
     seeds = np.random.default_rng(0)
     first, following = seeds.integers(_SEEDS, size=n_envs), seeds.integers(_SEEDS, size=n_envs)
-    actions, given, over = [], [], []
+    actions, given, played, over = [], [], [], []
     for _ in range(STEPS):
         available = task.available_actions()
         actions.append((available * rng.random(available.shape)).argmax(axis=2))
         given.append(following.copy())
-        step = task.step(np.eye(task.spec.action_dim)[actions[-1]])
-        over.append(step.terminated | step.truncated)
+        played.append(~task._ended)
+        task.step(np.eye(task.spec.action_dim)[actions[-1]])
+        over.append(task._ended.copy())
         following[over[-1]] = seeds.integers(_SEEDS, size=over[-1].sum())
-    states = task.simulator_state()[0]
+    states = np.where(task._ended[:, None], task._next_states, task.simulator_state()[0])
     task.close()
-    return Round(np.array(actions), first, np.array(given), np.array(over), states)
+    return Round(np.array(actions), first, np.array(given), np.array(played), np.array(over), states)
 
 
 class BareEngine:
@@ -77,14 +81,8 @@ class BareEngine:
     def __init__(self, scenario: Scenario, played: Round, env: int) -> None:
         self._scenario = scenario
         self._first = int(played.first_seeds[env])
-        self._steps = list(
-            zip(
-                played.actions[:, env].tolist(),
-                played.seeds[:, env].tolist(),
-                played.over[:, env].tolist(),
-                strict=True,
-            )
-        )
+        steps = (each[played.played[:, env], env].tolist() for each in (played.actions, played.seeds, played.over))
+        self._steps = list(zip(*steps, strict=True))
         self._match: EngineMatch | None = None
 
     def __call__(self, _job: int, _parent: ParentConnection) -> NDArray[np.float64]:
@@ -159,16 +157,19 @@ def measure(scenario: Scenario, n_envs: int, rounds: int) -> None:
             task.step(actions)
 
     whole()
-    np.testing.assert_array_equal(task.simulator_state()[0], played.states)
+    in_play = ~played.over[-1]
+    np.testing.assert_array_equal(task.simulator_state()[0][in_play], played.states[in_play])
     gfootball()
     wall: list[list[float]] = [[], [], []]
     cpu: list[list[float]] = [[], [], []]
+    # The same engine steps in the task and the engine alone; gfootball plays one for each action.
+    n_steps = played.played.sum(), played.played.size, played.played.sum()
     for _ in range(rounds):
         for number, play in enumerate((bare, gfootball, whole)):
             start, cpu_start = time.perf_counter(), cpu_seconds()
             play()
-            wall[number].append(n_envs * STEPS / (time.perf_counter() - start))
-            cpu[number].append(n_envs * STEPS / (cpu_seconds() - cpu_start))
+            wall[number].append(n_steps[number] / (time.perf_counter() - start))
+            cpu[number].append(n_steps[number] / (cpu_seconds() - cpu_start))
     task.close()
     end_job_processes([*engines, *others])
     by_wall, by_cpu = share(wall[2], wall[0]), share(cpu[2], cpu[0])
@@ -198,8 +199,7 @@ def main() -> int:
         print(f"the football engine is not installed: {INSTALL}")
         return 0
     print(
-        f"environment steps per second, {n_envs} processes, medians of {rounds} rounds; "
-        f"target: {TARGET:.0%} of the engine"
+        f"engine steps per second, {n_envs} processes, medians of {rounds} rounds; target: {TARGET:.0%} of the engine"
     )
     print(f"{'':<28}{'wall time':>30}{'CPU time':>20}")
     headings = ("engine", "gfootball", "task", "engine", "task")

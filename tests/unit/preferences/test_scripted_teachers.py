@@ -432,9 +432,14 @@ def test_a_rule_about_joints_refuses_a_task_whose_agents_choose_among_actions() 
 def test_a_rule_is_refused_where_the_task_lacks_what_it_reads() -> None:
     cheetah = task_spec("HalfCheetah-6x1")
     for name in teacher_names():
-        if name != "carry":
+        if name not in ("carry", "attack"):
             make_teacher(name).check_spec(cheetah)
     make_teacher("carry").check_spec(task_spec("Porters-2x8"))
+    make_teacher("attack").check_spec(task_spec("Football-3-vs-1"))
+    with pytest.raises(InvalidTeacher, match="attack judges tasks whose names begin with Football-, not HalfCheetah"):
+        make_teacher("attack").check_spec(cheetah)
+    with pytest.raises(InvalidTeacher, match="attack"):
+        make_teacher("phase").check_spec(task_spec("Football-3-vs-1"))
     for teacher in (make_teacher("carry"), make_teacher("phase", column=99), make_teacher("phase", first_agent=6)):
         with pytest.raises(MissingArray):
             teacher.check_spec(cheetah)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers import (
     RULES,
+    Attacking,
     BestWindow,
     Carrying,
     EffortBalance,
@@ -23,8 +24,12 @@ from mapt.preferences.teachers import (
     Smoothness,
     TeacherView,
     WorstWindow,
+    attacking,
     make_teacher,
 )
+from mapt.tasks import task_spec
+from mapt.tasks.football.match import Match
+from mapt.tasks.football.scenarios import SCENARIOS
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM, N_STEPS = 4, 6, 2, 12
 #: two ants and a board
@@ -203,6 +208,88 @@ def test_humanoids_that_face_each_other_are_in_step_when_legs_side_by_side_move_
 def test_carrying_refuses_segments_without_porters_and_a_board(nq, nv):
     with pytest.raises(MissingArray, match="Porters"):
         Carrying().scores(TeacherView(np.zeros((1, 5)), qpos=np.zeros((1, 5, nq)), qvel=np.zeros((1, 5, nv))))
+
+
+NOBODY, OURS, THEIRS, THROW_IN = -1, 0, 1, 5
+
+
+def football_states(*steps: tuple[float, float, float, float, int]) -> np.ndarray:
+    """States (T, 12) from the ball's x and y, its velocity along both in units per step, and the owner's team."""
+    states = np.zeros((len(steps), 12))
+    for state, (x, y, along, across, owner) in zip(states, steps, strict=True):
+        state[[0, 1, 3, 4, 6]] = x, y, along, across, owner
+    return states
+
+
+def attacking_score(states: np.ndarray, **parameters: float) -> float:
+    return float(Attacking(**parameters).scores(TeacherView(np.zeros((1, len(states))), qpos=states[None]))[0])
+
+
+def test_attacking_counts_what_is_gained_in_nearness_and_not_how_long_it_is_held():
+    run = football_states((0.6, 0.0, 0.01, 0.0, OURS), (0.7, 0.0, 0.01, 0.0, OURS), (0.8, 0.0, 0.0, 0.0, OURS))
+    assert attacking_score(run) == pytest.approx(0.2 * 54.4 / 40)
+    assert attacking_score(run, far_metres=80.0) == pytest.approx(0.2 * 54.4 / 80)
+    stays = football_states(*[(0.8, 0.0, 0.0, 0.0, OURS)] * 50)
+    assert attacking_score(stays) == 0
+    far = football_states((-0.5, 0.0, 0.01, 0.0, OURS), (0.0, 0.0, 0.01, 0.0, OURS))
+    assert attacking_score(far) == 0  # 54 m away and further
+
+
+@pytest.mark.parametrize("lost", ["opponents", "out"])
+def test_a_failed_attempt_has_no_nearness_left(lost):
+    states = football_states((0.8, 0.0, 0.0, 0.0, OURS), (0.9, 0.0, 0.0, 0.0, NOBODY))
+    if lost == "opponents":
+        states[1, 6] = THEIRS
+    else:
+        states[1, 11] = THROW_IN
+    assert attacking_score(states) == pytest.approx(-(1 - 0.2 * 54.4 / 40))
+
+
+def test_goals_and_shots_on_target_are_worth_more_than_nearness():
+    shot = football_states(
+        (0.8, 0.1, 0.0, 0.0, OURS), (0.8, 0.1, 0.04, -0.02, NOBODY), (0.9, 0.05, 0.04, -0.02, NOBODY)
+    )
+    nearer = attacking_score(shot, shot=0.0)
+    assert attacking_score(shot) == pytest.approx(1 + nearer)
+    wide, slow, back, passed = shot.copy(), shot.copy(), shot.copy(), shot.copy()
+    wide[:, 4] = 0.02
+    slow[:, 3:5] /= 10
+    back[:, 3] *= -1
+    passed[1:, 6] = OURS  # the ball never left our feet
+    for each in (wide, slow, back, passed):
+        assert attacking_score(each) == pytest.approx(nearer)
+    goal = shot.copy()
+    goal[2, 8] = 1
+    assert attacking_score(goal) == pytest.approx(4 + nearer)
+    assert attacking_score(goal, goal=7.0, shot=2.0) == pytest.approx(9 + nearer)
+    own_goal = shot.copy()
+    own_goal[2, 9] = 1
+    assert attacking_score(own_goal) == pytest.approx(-2 + nearer)
+
+
+def test_attacking_does_not_look_at_padding():
+    states = football_states((0.8, 0.0, 0.0, 0.0, OURS), (0.9, 0.0, 0.0, 0.0, OURS), (0.9, 0.0, 0.05, 0.0, NOBODY))
+    states[2, 8] = 1
+    mask = np.array([[True, True, False]])
+    scores = Attacking().scores(TeacherView(np.zeros((1, 3)), mask=mask, qpos=states[None]))
+    assert scores[0] == pytest.approx(attacking_score(states[:2]))
+
+
+def test_attacking_reads_the_states_of_football():
+    """The columns of the rule are those of `Match`."""
+    states = np.arange(12.0)[None, None]
+    match = Match.of(
+        np.concatenate([states[0], np.zeros((1, task_spec("Football-3-vs-1").nq - 12))], axis=1), SCENARIOS[0]
+    )
+    assert states[0, :, attacking.BALL].tolist() == match.ball[:, :2].tolist()
+    assert states[0, :, attacking.BALL_VELOCITY].tolist() == match.ball_velocity[:, :2].tolist()
+    assert states[0, :, attacking.GOALS].tolist() == match.goals.tolist()
+    assert states[0, 0, attacking.OWNER_TEAM] == match.owner_team[0]
+    assert states[0, 0, attacking.MODE] == match.mode[0]
+    with pytest.raises(MissingArray, match="Football-"):
+        Attacking().scores(TeacherView(np.zeros((1, 1)), qpos=states[..., :9]))
+    with pytest.raises(InvalidTeacher, match="far_metres"):
+        Attacking(far_metres=0.0)
 
 
 @every_rule

@@ -11,7 +11,7 @@ from mapt.errors import NoSimulator, UnusableEnvironment
 from mapt.tasks import load_model, make_task, task_names, task_spec
 from mapt.tasks.football import task as football_task
 from mapt.tasks.football.features import KICKS, available_actions, ball_zone, global_state, observations
-from mapt.tasks.football.match import NOBODY, OURS, THEIRS, Match, Players, state_size
+from mapt.tasks.football.match import NOBODY, OURS, THEIRS, Match, Players, last_states, state_size
 from mapt.tasks.football.reward import team_reward
 from mapt.tasks.football.scenarios import SCENARIOS, Scenario
 
@@ -95,6 +95,8 @@ def slow_observation(match: Match, step: int, agent: int, available: NDArray[np.
     fast = (20 * match.ball_velocity[step]).tolist()
     outside = abs(ball_x) > 1 or abs(ball_y) > 0.42
     zone = 3 if outside else int(ball_zone(match.ball[step : step + 1])[0])
+    if abs(ball_x) > 1 and abs(ball_y) <= 0.044:
+        zone = 2 if ball_x > 0 else -2
     ball = [*match.ball[step], *fast, sum(each**2 for each in fast) ** 0.5]
     ball += [float(zone == each) for each in (-2, -1, 0, 1, 2, 3)]
     ball += [float(match.owner_team[step] == each) for each in (NOBODY, OURS, THEIRS)]
@@ -195,6 +197,32 @@ def with_goals(match: Match, ours: int, theirs: int) -> Match:
 
 def of_steps(name: str, steps: slice) -> Match:
     return Match.of(STORED[name.replace("-", "_")][steps].astype(np.float64), scenario(name))
+
+
+def test_the_last_state_shows_the_ball_in_the_goal() -> None:
+    goal, nq = STORED["3_vs_1"].astype(np.float64), task_spec("Football-3-vs-1").nq
+    before, after = goal[-2:-1], goal[-1:]
+    last = last_states(before, after)
+    np.testing.assert_array_equal(last[:, 12:], before[:, 12:])  # the players, before the engine lines them up again
+    match = Match.of(last, scenario("3-vs-1"))
+    np.testing.assert_array_equal(match.goals, [[1, 0]])
+    assert match.elapsed_steps == before[0, 10] + 1
+    assert match.ball[0, 0] == 1.02
+    assert abs(match.ball[0, 1]) <= 0.044
+    assert not match.ball_velocity.any()
+    zone = observations(match, available_actions(match))[0, 0, 19 + 19 + 7 :][:6]
+    assert zone.tolist() == [0, 0, 0, 0, 1, 0]  # the opponents' penalty area, with their goal
+    theirs = after.copy()
+    theirs[:, 8:10] = 0, 1
+    assert last_states(before, theirs)[0, 0] == -1.02
+    out = after.copy()
+    out[:, 8:10], out[:, 11] = 0, 5  # a throw-in
+    last = last_states(before, out)
+    np.testing.assert_allclose(last[0, :3], before[0, :3] + before[0, 3:6])
+    np.testing.assert_array_equal(last[0, 3:6], before[0, 3:6])
+    assert last.shape == (1, nq)
+    stolen = STORED["counterattack_easy"].astype(np.float64)
+    np.testing.assert_array_equal(last_states(stolen[1:2], stolen[2:3]), stolen[2:3])  # in play: the engine's own
 
 
 def test_yellow_cards_and_a_lost_ball() -> None:

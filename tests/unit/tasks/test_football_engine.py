@@ -11,7 +11,7 @@ from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot
 from mapt.policies import Learner, PolicyConfig
 from mapt.tasks import MaskingTask, make_task
 from mapt.tasks.football.engine import ACTIONS, ENGINE, INSTALL, EngineMatch, is_installed
-from mapt.tasks.football.match import Match
+from mapt.tasks.football.match import NORMAL, THEIRS, Match
 from mapt.tasks.football.scenarios import SCENARIOS, Scenario
 from mapt.tasks.football.task import Football
 
@@ -131,6 +131,31 @@ def test_actions_move_players_and_unavailable_ones_are_refused(make: Make) -> No
             task.step(wrong)
     with pytest.raises(InvalidConfig):
         make_task("Football-3-vs-1", 0)
+
+
+def test_the_last_state_of_a_match_is_shown_before_the_next_one(make: Make) -> None:
+    task = make("Football-3-vs-1", 4)
+    task.reset(3)
+    rng, shown = np.random.default_rng(0), 0
+    while shown < 6:
+        match = Match.of(task.simulator_state()[0], SCENARIOS[0])
+        ended = ~task.available_actions()[..., 1:].any(axis=(1, 2))
+        lost = (match.owner_team == THEIRS) | (match.mode != NORMAL) | match.goals.any(axis=1)
+        assert lost[ended].all()
+        assert not ((match.mode != NORMAL) | match.goals.any(axis=1))[~ended].any()
+        actions, snapshot = random_actions(task, rng), task.snapshot()
+        step = task.step(actions)
+        if ended.any():
+            task.restore(snapshot)
+            again = task.step(actions)
+            for field in FIELDS:
+                np.testing.assert_array_equal(getattr(step, field), getattr(again, field))
+        np.testing.assert_array_equal(step.terminated, ended)
+        assert not step.reward[ended].any()
+        after = Match.of(task.simulator_state()[0], SCENARIOS[0])
+        assert (after.elapsed_steps[ended] < 2).all()  # the next match
+        np.testing.assert_array_equal(step.success, after.goals[:, 0] == 1)
+        shown += int(ended.sum())
 
 
 def test_a_policy_trains_on_it(make: Make) -> None:

@@ -3,6 +3,7 @@
 `make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels the pairs of two `TeacherView`s.
 """
 
+from mapt.preferences.teachers.attacking import Attacking
 from mapt.preferences.teachers.carrying import Carrying
 from mapt.preferences.teachers.rules import (
     BestWindow,
@@ -33,6 +34,7 @@ from mapt.preferences.teachers.view import TeacherView
 __all__ = [
     "PRESETS",
     "RULES",
+    "Attacking",
     "BPrefParameters",
     "BestWindow",
     "Carrying",

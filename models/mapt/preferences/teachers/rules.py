@@ -25,6 +25,11 @@ class Rule(ABC):
         """Whether scores are true returns, so that B-Pref's thresholds apply."""
         return False
 
+    @property
+    def task_prefix(self) -> str | None:
+        """What the names of the tasks begin with that the rule is about; None if it is not about some tasks alone."""
+        return None
+
     @abstractmethod
     def scores(self, view: TeacherView) -> Float64s:
         """Score of each segment, float64 (B,). Independent of padding.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
 from mapt.preferences.dataset import NO_AGENT
+from mapt.preferences.teachers.attacking import Attacking
 from mapt.preferences.teachers.carrying import Carrying
 from mapt.preferences.teachers.rules import (
     BestWindow,
@@ -172,17 +173,28 @@ class ScriptedTeacher:
         self._statistics = RunningStatistics()
         self._episode_reward: float | None = None
 
+    @property
+    def name(self) -> str:
+        return self._record.get("name", type(self.rule).__name__)
+
     def check_task(self, task_name: str, *, discrete_actions: bool) -> None:
         """Check that the rule can judge a task.
 
         Raises:
-            InvalidTeacher: if the rule is about the joints of robots, but agents choose among actions.
+            InvalidTeacher: if the rule is about other tasks, or about the joints of robots, but agents choose among
+                actions.
         """
+        prefix = self.rule.task_prefix
+        if prefix is not None:
+            if not task_name.startswith(prefix):
+                raise InvalidTeacher(f"{self.name} judges tasks whose names begin with {prefix}, not {task_name}.")
+            return
         if discrete_actions and not isinstance(self.rule, RewardRule):
-            suited = [*PRESETS, *(name for name, rule in RULES.items() if isinstance(rule, RewardRule))]
+            suits = (name for name, rule in RULES.items() if isinstance(rule, RewardRule) or _is_about(rule, task_name))
+            suited = [*PRESETS, *suits]
             suited.remove("return")
             raise InvalidTeacher(
-                f"{self._record.get('name', type(self.rule).__name__)} judges how the joints of a robot move, but the "
+                f"{self.name} judges how the joints of a robot move, but the "
                 f"agents of {task_name} have none. Teachers for it: {', '.join(suited)}."
             )
 
@@ -313,6 +325,10 @@ class ScriptedTeacher:
         )
 
 
+def _is_about(rule: Rule, task_name: str) -> bool:
+    return rule.task_prefix is not None and task_name.startswith(rule.task_prefix)
+
+
 @dataclass(frozen=True, slots=True)
 class _Thresholds:
     """Thresholds of B pairs, (B,) each."""
@@ -369,6 +385,7 @@ RULES: dict[str, Rule] = {
     "shared-load": EffortBalance(),
     "nobody-idle": MinimumEffort(),
     "carry": Carrying(),
+    "attack": Attacking(),
 }
 
 

@@ -13,6 +13,7 @@ players and R opponents: 105 for 3-vs-1, 217 for the counterattacks and 98 for p
 | 7 R | each opponent: the same |
 | 7 | the nearest of them |
 
+The ball's zones are those of `ball_zone`, with each goal as a part of its penalty area, and outside of the pitch.
 Velocities and speeds of players are 100 times, those of the ball 20 times coordinates per step. Players who were sent
 off are zeros.
 """
@@ -20,11 +21,21 @@ off are zeros.
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.football.match import DRIBBLE, N_MODES, N_STICKY, NOBODY, OURS, SPRINT, Match, Players
+from mapt.tasks.football.match import (
+    DRIBBLE,
+    GOAL_Y,
+    N_MODES,
+    N_STICKY,
+    NOBODY,
+    OURS,
+    SPRINT,
+    Match,
+    Players,
+)
 from mapt.tasks.football.scenarios import LIMIT_STEPS, ROLES, Scenario
 
 #: the first numbers of actions of a kind; see `engine.ACTIONS`
-KICKS = slice(9, 13)
+IDLE, KICKS = 0, slice(9, 13)
 START_SPRINT, END_DIRECTION, END_SPRINT, SLIDE, START_DRIBBLE, END_DRIBBLE = range(13, 19)
 N_ACTIONS = 19
 #: distance within which an agent can kick a ball that nobody owns
@@ -145,7 +156,9 @@ def _own_player(match: Match) -> Floats:
 def _ball(match: Match) -> Floats:
     """(E, N, 18)."""
     velocity = _BALL_SPEED * match.ball_velocity
-    zone = np.where(_on_pitch(match.ball), ball_zone(match.ball), _OUTSIDE)
+    in_goal = (np.abs(match.ball[:, 0]) > _END_X) & (np.abs(match.ball[:, 1]) <= GOAL_Y)
+    beyond = np.where(in_goal, 2 * np.sign(match.ball[:, 0]).astype(np.int64), _OUTSIDE)
+    zone = np.where(_on_pitch(match.ball), ball_zone(match.ball), beyond)
     alike = [match.ball, velocity, _length(velocity)]
     alike += [_one_hot(zone + 2, 6), _one_hot(match.owner_team - NOBODY, 3)]
     to_ball = _to_ball(match)

@@ -22,12 +22,16 @@ _PLAYER_NUMBERS = 8
 
 #: values of `Match.owner_team`
 NOBODY, OURS, THEIRS = -1, 0, 1
+#: columns of a state: the ball's position and velocity, and what the engine counts, from the owner to the mode
+_BALL, _BALL_VELOCITY, _COUNTS = slice(0, 3), slice(3, 6), slice(6, _MATCH_NUMBERS)
 #: modes of the match: normal, kick-off, goal kick, free kick, corner, throw-in, penalty
 N_MODES = 7
 NORMAL = 0
 #: places of two sticky actions after the eight directions
 SPRINT, DRIBBLE = 8, 9
 N_STICKY = 10
+#: x of the goal lines, half the width of the goals, and where a ball lies after a goal
+GOAL_X, GOAL_Y, IN_GOAL_X = 1.0, 0.044, 1.02
 
 
 def state_size(scenario: Scenario) -> int:
@@ -97,10 +101,10 @@ class Match:
         rest, n, ours = states[:, _MATCH_NUMBERS:], scenario.n_agents, len(scenario.team)
         agents = rest[:, : n * _AGENT_NUMBERS].reshape(len(states), n, _AGENT_NUMBERS)
         players = rest[:, n * _AGENT_NUMBERS :].reshape(len(states), -1, _PLAYER_NUMBERS)
-        whole = states[:, 6:_MATCH_NUMBERS].astype(np.int64)
+        whole = states[:, _COUNTS].astype(np.int64)
         return cls(
-            ball=states[:, 0:3],
-            ball_velocity=states[:, 3:6],
+            ball=states[:, _BALL],
+            ball_velocity=states[:, _BALL_VELOCITY],
             owner_team=whole[:, 0],
             owner=whole[:, 1],
             goals=states[:, 8:10],
@@ -115,3 +119,21 @@ class Match:
     def of_agents(self, per_player: NDArray) -> NDArray:
         """Values (E, N, ...) of the players that agents control, from those of all our players (E, P, ...)."""
         return per_player[np.arange(len(per_player))[:, None], self.controlled]
+
+
+def last_states(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the last states (E, nq) of matches look like, from those before and after the step that ended them.
+
+    After a goal, and when the ball is out of play, the engine has already placed ball and players for what comes next.
+    Then the ball is where it flew, after a goal at rest in the goal, and the players are where they were.
+    """
+    scored, mode = after[:, 8:10].any(axis=1), after[:, 11]
+    flew = scored | (mode != NORMAL)
+    last = np.where(flew[:, None], before, after)
+    last[:, _COUNTS] = after[:, _COUNTS]
+    last[flew, _BALL] += before[flew, _BALL_VELOCITY]
+    last[scored, 0] = IN_GOAL_X * np.where(after[scored, 8] > 0, 1.0, -1.0)
+    last[scored, 1] = np.clip(last[scored, 1], -GOAL_Y, GOAL_Y)
+    last[scored, 2] = 0.0
+    last[scored, _BALL_VELOCITY] = 0.0
+    return last

@@ -12,6 +12,7 @@ from mapt.processes import JobProcess, end_job_processes
 from mapt.tasks.football.drawing import FootballDrawing
 from mapt.tasks.football.engine import INSTALL, EngineJob, Request, is_installed
 from mapt.tasks.football.features import (
+    IDLE,
     N_ACTIONS,
     available_actions,
     global_state,
@@ -19,7 +20,7 @@ from mapt.tasks.football.features import (
     observation_size,
     observations,
 )
-from mapt.tasks.football.match import Match, state_size
+from mapt.tasks.football.match import Match, last_states, state_size
 from mapt.tasks.football.reward import team_reward
 from mapt.tasks.football.scenarios import LIMIT_STEPS, SCENARIOS, STEPS_PER_SECOND, Scenario
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, chosen_actions
@@ -47,7 +48,10 @@ _SAVED, _SAVED_BYTES = "saved_matches", "saved_match_bytes"
 class Football:
     """A `MaskingTask`: E matches of one scenario.
 
-    An episode terminates with a goal, when the ball leaves the pitch and when it changes teams, and is truncated after
+    A match ends with a goal, when the ball leaves the pitch and when it changes teams. Its episode terminates one step
+    later: in the last state, agents can only idle, for a reward of 0. Segments consist of states before actions; so
+    people, teachers and reward models see how a match ended. (Kostrikov et al. 2019, Discriminator-Actor-Critic, add
+    absorbing states to episodes because learned rewards need a value for how they end.) Episodes are truncated after
     400 steps.
 
     Args:
@@ -75,6 +79,9 @@ class Football:
         self._index = np.broadcast_to(index, (n_envs, *index.shape))
         self._states = np.zeros((n_envs, spec.nq))
         self._available = np.zeros((n_envs, spec.n_agents, N_ACTIONS), bool)
+        #: (E,): `_states` has the last state of a match; and (E, nq), where it has, the first state of the next one
+        self._ended = np.zeros(n_envs, bool)
+        self._next_states = np.zeros((n_envs, spec.nq))
         #: (E,): of the next episodes
         self._seeds = np.zeros(n_envs, np.int64)
         self._rng = np.random.default_rng(0)
@@ -93,27 +100,29 @@ class Football:
         first = self._rng.integers(_SEEDS, size=self._n_envs)
         self._seeds[:] = self._rng.integers(_SEEDS, size=self._n_envs)
         self._states = np.array(self._ask([("start", each) for each in first.tolist()]))
+        self._ended = np.zeros(self._n_envs, bool)
         return self._observe(self._states)
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        chosen = chosen_actions(actions, self._available)
-        played = self._ask(
-            [("step", tuple(own), seed) for own, seed in zip(chosen.tolist(), self._seeds.tolist(), strict=True)]
-        )
-        final = np.array([state for state, _, _ in played])
-        over = np.array([ended for _, ended, _ in played])
+        shown = self._ended
+        final, over, starts = self._play(chosen_actions(actions, self._available))
         before, after = Match.of(self._states, self._scenario), Match.of(final, self._scenario)
         scored = after.goals[:, 0] > before.goals[:, 0]
-        truncated = over & (after.elapsed_steps >= LIMIT_STEPS) & (after.goals.sum(axis=1) == 0)
-        reward = team_reward(before, after, over)
+        reward = np.where(shown, 0.0, team_reward(before, after, over))
+        at_limit = over & (after.elapsed_steps >= LIMIT_STEPS)
+        goal = after.goals.any(axis=1)
+        terminated, truncated = shown | at_limit & goal, at_limit & ~goal
 
-        final_observations, final_state = observed, state = self._observe(final)
-        self._states = final
         if over.any():
             self._seeds[over] = self._rng.integers(_SEEDS, size=over.sum())
-            self._states = np.array([final if start is None else start for final, _, start in played])
+            self._next_states[over] = starts
+        self._ended = over & ~at_limit
+        final = np.where(self._ended[:, None], last_states(self._states, final), final)
+        final_observations, final_state = observed, state = self._observe(final)
+        reset = terminated | truncated
+        self._states = np.where(reset[:, None], self._next_states, final)
+        if reset.any():
             observed, state = self._observe(self._states)
-        terminated = over & ~truncated
         return TaskStep(observed, state, reward, terminated, truncated, final_observations, final_state, scored)
 
     def available_actions(self) -> NDArray[np.bool_]:
@@ -126,7 +135,7 @@ class Football:
     def snapshot(self) -> dict[str, np.ndarray]:
         """As of other tasks, and the engines' states: their bytes, one after the other, and the number of each."""
         saved = self._ask([("save",)] * self._n_envs)
-        own = take_snapshot({"seeds": self._seeds}, self._rng)
+        own = take_snapshot(self._arrays(), self._rng)
         sizes = np.array([len(each) for each in saved], dtype=np.int64)
         return {**own, _SAVED: np.frombuffer(b"".join(saved), np.uint8).copy(), _SAVED_BYTES: sizes}
 
@@ -134,10 +143,10 @@ class Football:
         own = {name: array for name, array in snapshot.items() if name not in (_SAVED, _SAVED_BYTES)}
         if len(own) + 2 != len(snapshot) or snapshot[_SAVED].size != snapshot[_SAVED_BYTES].sum():
             raise InvalidSnapshot(f"The snapshot does not hold the matches of {self._spec.name}.")
-        rng = load_snapshot(own, {"seeds": self._seeds}, self._spec.name)
+        rng = load_snapshot(own, self._arrays(), self._spec.name)
         ends = np.cumsum(snapshot[_SAVED_BYTES])[:-1]
         saved = [each.tobytes() for each in np.split(snapshot[_SAVED], ends)]
-        self._states = np.array(self._ask([("load", each) for each in saved]))
+        self._next_states = np.array(self._ask([("load", each) for each in saved]))
         self._rng = rng
         return self._observe(self._states)
 
@@ -146,24 +155,44 @@ class Football:
         end_job_processes(self._engines)
         self._engines = []
 
-    def _ask(self, requests: Sequence[Request]) -> list[Any]:
-        """Send one request to each engine and return their answers.
+    def _play(self, actions: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[Any]]:
+        """Carry out actions (E, N) in all matches that have not ended.
+
+        Returns:
+            the states after it (E, nq), which matches it ended (E,), and the first states of those that follow them.
+        """
+        requests = [
+            None if ended else ("step", tuple(chosen), seed)
+            for ended, chosen, seed in zip(self._ended, actions.tolist(), self._seeds.tolist(), strict=True)
+        ]
+        unplayed = ((state, False, None) for state in self._states)
+        answers = [answer or same for answer, same in zip(self._ask(requests), unplayed, strict=True)]
+        states, over, starts = zip(*answers, strict=True)
+        return np.array(states), np.array(over), [start for start in starts if start is not None]
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {"seeds": self._seeds, "states": self._states, "ended": self._ended}
+
+    def _ask(self, requests: Sequence[Request | None]) -> list[Any]:
+        """Send each engine its request, if it has one, and return their answers, None for the others.
 
         Raises:
             UnusableEnvironment: if an engine failed.
         """
-        for engine, request in zip(self._engines, requests, strict=True):
-            engine.send(request)
-        answers = [engine.receive() for engine in self._engines]
-        for number, answer in enumerate(answers):
+        asked = [(number, request) for number, request in enumerate(requests) if request is not None]
+        for number, request in asked:
+            self._engines[number].send(request)
+        received = {number: self._engines[number].receive() for number, _ in asked}
+        for number, answer in received.items():
             if answer.failure is not None:
                 raise UnusableEnvironment(f"The football engine of environment {number} failed: {answer.failure}.")
-        return [answer.result for answer in answers]
+        return [received[number].result if number in received else None for number in range(len(requests))]
 
     def _observe(self, states: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Observations and state. The available actions become those of these states."""
         match = Match.of(states, self._scenario)
         self._available = available_actions(match)
+        self._available[self._ended] = np.arange(N_ACTIONS) == IDLE
         own = np.concatenate([observations(match, self._available), self._index], axis=2)
         return own.astype(self._dtype), global_state(match).astype(self._dtype)
 
