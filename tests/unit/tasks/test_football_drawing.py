@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapt.tasks import find_drawing, frame_rate_hz, task_spec
+from mapt.tasks.football.match import last_states
 
 STORED = dict(np.load(Path(__file__).parent / "stored" / "football.npz"))
 #: pure colours, which nothing else has
@@ -77,6 +78,19 @@ def test_the_board_shows_goals_and_time() -> None:
     assert (columns < SIZE[1] / 2).any()  # our goals
     assert (columns > 0.75 * SIZE[1]).any()  # the next second
     assert not (changed[160:240]).any()  # theirs
+
+
+def test_the_goal_in_which_the_ball_lies_is_yellow() -> None:
+    clip = states("3-vs-1")
+    scored = np.concatenate([clip[:-1], last_states(clip[-2:-1], clip[-1:])])
+    scored[:, 6] = -1  # no ring around an owner
+    *_, before, after = draw("3-vs-1", scored)
+    assert not where(before, OWNER).any()
+    yellow = where(after, OWNER)
+    assert yellow.sum() > 50
+    assert np.nonzero(yellow)[1].min() > 0.9 * SIZE[1]
+    ball = np.nonzero(where(after, BALL, 3) & (np.arange(SIZE[1]) > 0.9 * SIZE[1]))
+    assert yellow[ball[0].min() - 6 : ball[0].max() + 7].any()
 
 
 def test_the_ball_has_a_shadow_in_the_air_and_a_trail_that_no_new_match_continues() -> None:

@@ -3,7 +3,8 @@
 Agents' players are round, in the colours and with the numbers of the page's legend; their teammates, whom the engine
 controls, are white; opponents are red diamonds. A ring marks the player who owns the ball, lines where players run.
 The ball leaves a trail, has a line to where it is in the next step, and a shadow when it is in the air. Chevrons point
-to the goal that the agents attack. The board has the goals of both teams and the seconds since the match began.
+to the goal that the agents attack; a goal in which the ball lies is yellow. The board has the goals of both teams and
+the seconds since the match began.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +27,7 @@ _AREAS = ((16.5, 20.15), (5.5, 9.15))
 _CIRCLE = 9.15
 
 _GRASS, _STRIPE, _LINE, _AROUND = (58, 118, 70), (64, 126, 76), (205, 222, 208), (40, 84, 52)
-_NET, _CHEVRON = (236, 240, 238), (150, 196, 158)
+_NET, _INSIDE, _CHEVRON = (236, 240, 238), (110, 120, 116), (150, 196, 158)
 _AGENT_EDGE, _TEAMMATE, _TEAMMATE_EDGE = (16, 20, 26), (240, 242, 245), (92, 100, 112)
 _OPPONENT, _OPPONENT_EDGE = (176, 30, 44), (255, 168, 160)
 _BALL, _BALL_EDGE, _SHADOW, _OWNER = (255, 255, 255), (10, 12, 16), (22, 48, 30), (255, 236, 110)
@@ -92,6 +93,9 @@ class FootballDrawing:
         _draw_pitch(pitch, view)
         for step in range(len(states)):
             canvas = pitch.copy()
+            for side, goals in ((1, match.goals[step, 0]), (-1, match.goals[step, 1])):
+                if goals:
+                    _draw_goal(canvas, view, side, _OWNER)
             self._draw_players(canvas, match, step, view, agent_colours)
             _draw_ball(canvas, match, step, view)
             _draw_board(canvas, match, step)
@@ -190,10 +194,17 @@ def _draw_pitch(canvas: Canvas, view: _View) -> None:
     for side in (-1, 1):
         for depth, half in _AREAS:
             line(_box(side * _HALF_LENGTH, side * (_HALF_LENGTH - depth), half), thick, _LINE)
-        outer = side * (_HALF_LENGTH + _GOAL_DEPTH)
-        near, far = sorted((side * _HALF_LENGTH, outer))
-        rectangle(near, -_HALF_GOAL, far, _HALF_GOAL, (110, 120, 116))
-        line(_box(side * _HALF_LENGTH, outer, _HALF_GOAL), 2.2 * thick, _NET)
+        _draw_goal(canvas, view, side, _INSIDE)
+
+
+def _draw_goal(canvas: Canvas, view: _View, side: int, inside: Colour) -> None:
+    """The goal on the right (1) or left (-1), seen from above."""
+    corners = _box(side * _HALF_LENGTH, side * (_HALF_LENGTH + _GOAL_DEPTH), _HALF_GOAL)
+    places = view.pixels(np.array(corners))
+    (left, top), (right, bottom) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    canvas.rectangle(left, top, right - left, bottom - top, inside)
+    for start, end in pairwise(places.tolist()):
+        canvas.line(tuple(start), tuple(end), 2.2 * max(1.0, 0.25 * view.scale), _NET)
 
 
 def _box(x0: float, x1: float, half: float) -> list[tuple[float, float]]:
