@@ -225,24 +225,28 @@ def attacking_score(states: np.ndarray, **parameters: float) -> float:
     return float(Attacking(**parameters).scores(TeacherView(np.zeros((1, len(states))), qpos=states[None]))[0])
 
 
-def test_attacking_counts_what_is_gained_in_nearness_and_not_how_long_it_is_held():
-    run = football_states((0.6, 0.0, 0.01, 0.0, OURS), (0.7, 0.0, 0.01, 0.0, OURS), (0.8, 0.0, 0.0, 0.0, OURS))
-    assert attacking_score(run) == pytest.approx(0.2 * 54.4 / 40)
-    assert attacking_score(run, far_metres=80.0) == pytest.approx(0.2 * 54.4 / 80)
+def threat(x: float, metres: float = 20.0) -> float:
+    return float(np.exp(-(1 - x) * 54.4 / metres))
+
+
+def test_attacking_counts_the_most_that_is_gained_and_not_how_long_it_is_held():
+    run = football_states((0.6, 0.0, 0.01, 0.0, OURS), (0.8, 0.0, 0.01, 0.0, OURS), (0.7, 0.0, 0.0, 0.0, OURS))
+    assert attacking_score(run) == pytest.approx(threat(0.8) - threat(0.6))
+    assert attacking_score(run, threat_metres=80.0) == pytest.approx(threat(0.8, 80.0) - threat(0.6, 80.0))
     stays = football_states(*[(0.8, 0.0, 0.0, 0.0, OURS)] * 50)
     assert attacking_score(stays) == 0
-    far = football_states((-0.5, 0.0, 0.01, 0.0, OURS), (0.0, 0.0, 0.01, 0.0, OURS))
-    assert attacking_score(far) == 0  # 54 m away and further
+    back = football_states((0.8, 0.0, -0.01, 0.0, OURS), (0.5, 0.0, -0.01, 0.0, OURS))
+    assert attacking_score(back) == 0
 
 
 @pytest.mark.parametrize("lost", ["opponents", "out"])
-def test_a_failed_attempt_has_no_nearness_left(lost):
-    states = football_states((0.8, 0.0, 0.0, 0.0, OURS), (0.9, 0.0, 0.0, 0.0, NOBODY))
+def test_a_failed_attempt_gains_nothing_more_and_keeps_what_it_gained(lost):
+    states = football_states((0.6, 0.0, 0.0, 0.0, OURS), (0.7, 0.0, 0.0, 0.0, OURS), (0.95, 0.0, 0.0, 0.0, NOBODY))
     if lost == "opponents":
-        states[1, 6] = THEIRS
+        states[2, 6] = THEIRS
     else:
-        states[1, 11] = THROW_IN
-    assert attacking_score(states) == pytest.approx(-(1 - 0.2 * 54.4 / 40))
+        states[2, 11] = THROW_IN
+    assert attacking_score(states) == pytest.approx(threat(0.7) - threat(0.6))
 
 
 def test_goals_and_shots_on_target_are_worth_more_than_nearness():
@@ -262,6 +266,7 @@ def test_goals_and_shots_on_target_are_worth_more_than_nearness():
     goal[2, 8] = 1
     assert attacking_score(goal) == pytest.approx(4 + nearer)
     assert attacking_score(goal, goal=7.0, shot=2.0) == pytest.approx(9 + nearer)
+    assert nearer < 1
     own_goal = shot.copy()
     own_goal[2, 9] = 1
     assert attacking_score(own_goal) == pytest.approx(-2 + nearer)
@@ -288,8 +293,8 @@ def test_attacking_reads_the_states_of_football():
     assert states[0, 0, attacking.MODE] == match.mode[0]
     with pytest.raises(MissingArray, match="Football-"):
         Attacking().scores(TeacherView(np.zeros((1, 1)), qpos=states[..., :9]))
-    with pytest.raises(InvalidTeacher, match="far_metres"):
-        Attacking(far_metres=0.0)
+    with pytest.raises(InvalidTeacher, match="threat_metres"):
+        Attacking(threat_metres=0.0)
 
 
 @every_rule

@@ -1,4 +1,4 @@
-"""A rule for the tasks whose names begin with Football-: attempts should come nearer to a goal, to shots and goals."""
+"""A rule for the tasks whose names begin with Football-: attempts should come close to a goal."""
 
 from dataclasses import dataclass
 
@@ -21,25 +21,24 @@ SHOT_SPEED, STEPS_PER_SECOND = 10.0, 10
 
 @dataclass(frozen=True, slots=True)
 class Attacking(Rule):
-    """Prefers attempts that come nearer to a goal, as a person would who watches a clip.
+    """Prefers attempts that come closer to a goal, as a person would who watches a clip.
 
     A segment is worth `goal` for each goal of ours, less each of theirs; `shot` for each kick of ours that sends the
-    ball between the posts at 10 m/s or more; and what is gained in nearness, from the first to the last state: 1 at the
-    opponents' goal and 0 from `far_metres` away, and 0 once the attempt has failed, because the opponents have the ball
-    or it has left the pitch.
+    ball between the posts at 10 m/s or more; and the most that it gains in threat over its first state. The threat is
+    exp(-d / `threat_metres`) for a ball that is d metres from the opponents' goal, and 0 once the attempt has failed,
+    because the opponents have the ball or it has left the pitch.
 
-    Nearness is gained, not held: a team that stays near the goal gets nothing more for each further second. So the
-    rewards per step that explain such preferences are shaped by a potential (Ng, Harada and Russell 1999), and do not
-    change which team is best.
+    An attempt that fails loses nothing that it gained. If it did, the end of an attempt, which is nearly always a
+    failure at first, would be worse than anything else, and a team would learn to keep the ball away from everyone.
     """
 
     goal: float = 3.0
     shot: float = 1.0
-    far_metres: float = 40.0
+    threat_metres: float = 20.0
 
     def __post_init__(self) -> None:
-        if self.far_metres <= 0:
-            raise InvalidTeacher(f"far_metres is {self.far_metres}; it must be above 0.")
+        if self.threat_metres <= 0:
+            raise InvalidTeacher(f"threat_metres is {self.threat_metres}; it must be above 0.")
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -54,17 +53,17 @@ class Attacking(Rule):
         states = view.require("qpos").astype(np.float64)
         if states.shape[2] <= MODE:
             raise MissingArray("the ball and the goals of a match (tasks whose names begin with Football-)")
-        last = view.lengths - 1
-        goals = _at(states, last)[:, GOALS] - states[:, 0, GOALS]
+        last = states[np.arange(len(states)), view.lengths - 1]
+        goals = last[:, GOALS] - states[:, 0, GOALS]
         shots = (self._shots(states) & view.mask[:, 1:]).sum(axis=1)
-        nearer = self._nearness(_at(states, last)) - self._nearness(states[:, 0])
-        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + nearer
+        threat = np.where(view.mask, self._threat(states), 0.0)
+        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + threat.max(axis=1) - threat[:, 0]
 
-    def _nearness(self, states: Float64s) -> Float64s:
-        """(B,) of states (B, nq)."""
-        metres = np.linalg.norm((states[:, BALL] - GOAL) * METRES, axis=1)
-        failed = (states[:, OWNER_TEAM] == THEIRS) | (states[:, MODE] != NORMAL)
-        return np.where(failed, 0.0, np.clip(1.0 - metres / self.far_metres, 0.0, 1.0))
+    def _threat(self, states: Float64s) -> Float64s:
+        """(B, T) of states (B, T, nq)."""
+        metres = np.linalg.norm((states[..., BALL] - GOAL) * METRES, axis=2)
+        failed = (states[..., OWNER_TEAM] == THEIRS) | (states[..., MODE] != NORMAL)
+        return np.where(failed, 0.0, np.exp(-metres / self.threat_metres))
 
     @staticmethod
     def _shots(states: Float64s) -> NDArray[np.bool_]:
@@ -77,8 +76,3 @@ class Attacking(Rule):
         steps = np.divide(1.0 - ball[..., 0], velocity[..., 0], out=np.zeros(forward.shape), where=forward)
         on_target = np.abs(ball[..., 1] + steps * velocity[..., 1]) <= GOAL_Y
         return kicked & fast & forward & on_target
-
-
-def _at(states: Float64s, steps: NDArray[np.int64]) -> Float64s:
-    """The states (B, nq) at one step (B,) of each segment."""
-    return states[np.arange(len(states)), steps]
