@@ -249,6 +249,15 @@ def test_a_failed_attempt_gains_nothing_more_and_keeps_what_it_gained(lost):
     assert attacking_score(states) == pytest.approx(threat(0.7) - threat(0.6))
 
 
+def test_a_ball_that_was_last_the_opponents_threatens_nobody():
+    theirs = football_states((0.6, 0.0, 0.0, 0.0, THEIRS), (0.9, 0.0, 0.0, 0.0, NOBODY), (0.8, 0.0, 0.0, 0.0, THEIRS))
+    assert attacking_score(theirs) == 0
+    won_back = football_states((0.6, 0.0, 0.0, 0.0, THEIRS), (0.9, 0.0, 0.0, 0.0, NOBODY), (0.7, 0.0, 0.0, 0.0, OURS))
+    assert attacking_score(won_back) == pytest.approx(threat(0.7) - threat(0.6))
+    nobodys = football_states((0.6, 0.0, 0.0, 0.0, NOBODY), (0.9, 0.0, 0.0, 0.0, NOBODY))
+    assert attacking_score(nobodys) == pytest.approx(threat(0.9) - threat(0.6))
+
+
 def test_goals_and_shots_on_target_are_worth_more_than_nearness():
     shot = football_states(
         (0.8, 0.1, 0.0, 0.0, OURS), (0.8, 0.1, 0.04, -0.02, NOBODY), (0.9, 0.05, 0.04, -0.02, NOBODY)

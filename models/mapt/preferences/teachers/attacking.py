@@ -24,9 +24,9 @@ class Attacking(Rule):
     """Prefers attempts that come closer to a goal, as a person would who watches a clip.
 
     A segment is worth `goal` for each goal of ours, less each of theirs; `shot` for each kick of ours that sends the
-    ball between the posts at 10 m/s or more; and the most that it gains in threat over its first state. The threat is
-    exp(-d / `threat_metres`) for a ball that is d metres from the opponents' goal, and 0 once the attempt has failed,
-    because the opponents have the ball or it has left the pitch.
+    ball between the posts at 10 m/s or more; and the most by which the threat rises above that of its first state, while
+    the ball is in play and was not last the opponents'. The threat is exp(-d / `threat_metres`) for a ball that is d
+    metres from the opponents' goal.
 
     An attempt that fails loses nothing that it gained. If it did, the end of an attempt, which is nearly always a
     failure at first, would be worse than anything else, and a team would learn to keep the ball away from everyone.
@@ -56,14 +56,10 @@ class Attacking(Rule):
         last = states[np.arange(len(states)), view.lengths - 1]
         goals = last[:, GOALS] - states[:, 0, GOALS]
         shots = (self._shots(states) & view.mask[:, 1:]).sum(axis=1)
-        threat = np.where(view.mask, self._threat(states), 0.0)
-        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + threat.max(axis=1) - threat[:, 0]
-
-    def _threat(self, states: Float64s) -> Float64s:
-        """(B, T) of states (B, T, nq)."""
-        metres = np.linalg.norm((states[..., BALL] - GOAL) * METRES, axis=2)
-        failed = (states[..., OWNER_TEAM] == THEIRS) | (states[..., MODE] != NORMAL)
-        return np.where(failed, 0.0, np.exp(-metres / self.threat_metres))
+        threat = np.exp(-np.linalg.norm((states[..., BALL] - GOAL) * METRES, axis=2) / self.threat_metres)
+        attacks = view.mask & (_last_owners(states) != THEIRS) & (states[..., MODE] == NORMAL)
+        risen = np.where(attacks, threat - threat[:, :1], 0.0).max(axis=1)
+        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + np.maximum(risen, 0.0)
 
     @staticmethod
     def _shots(states: Float64s) -> NDArray[np.bool_]:
@@ -76,3 +72,10 @@ class Attacking(Rule):
         steps = np.divide(1.0 - ball[..., 0], velocity[..., 0], out=np.zeros(forward.shape), where=forward)
         on_target = np.abs(ball[..., 1] + steps * velocity[..., 1]) <= GOAL_Y
         return kicked & fast & forward & on_target
+
+
+def _last_owners(states: Float64s) -> Float64s:
+    """The team that had the ball last, (B, T) of states (B, T, nq); NOBODY where none had it yet."""
+    owners = states[..., OWNER_TEAM]
+    owned = np.maximum.accumulate(np.where(owners == NOBODY, 0, np.arange(owners.shape[1])), axis=1)
+    return np.take_along_axis(owners, owned, axis=1)
