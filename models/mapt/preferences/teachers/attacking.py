@@ -24,9 +24,9 @@ class Attacking(Rule):
     """Prefers attempts that come closer to a goal, as a person would who watches a clip.
 
     A segment is worth `goal` for each goal of ours, less each of theirs; `shot` for each kick of ours that sends the
-    ball between the posts at 10 m/s or more; and the most by which the threat rises above that of its first state, while
-    the ball is in play and was not last the opponents'. The threat is exp(-d / `threat_metres`) for a ball that is d
-    metres from the opponents' goal.
+    ball between the posts at 10 m/s or more; and the most by which the threat rises above that of its first state,
+    while the ball is in play and was not last the opponents'. The threat is exp(-d / `threat_metres`) for a ball that
+    is d metres from the opponents' goal.
 
     An attempt that fails loses nothing that it gained. If it did, the end of an attempt, which is nearly always a
     failure at first, would be worse than anything else, and a team would learn to keep the ball away from everyone.
