@@ -199,8 +199,8 @@ class Settings(BaseSettings):
         ge=1,
         le=20,
         description="Processes in which each reward worker trains the networks of a version whose attention is in use, "
-        "or the members of an ensemble, at the same time: up to 5 where cores are idle. Each needs about half a "
-        "gigabyte of memory.",
+        "the folds of a trial of attention, or the members of an ensemble, at the same time: up to 5 where cores are "
+        "idle. Each needs about half a gigabyte of memory.",
     )
     webhook_private_addresses: bool = Field(
         default=False,

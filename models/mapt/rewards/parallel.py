@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from mapt.errors import MemberTrainingFailed
 from mapt.processes import ParentConnection, run_jobs
 from mapt.rewards.checkpoints import SavedRewardModel, load_reward_model, save_reward_model
 from mapt.rewards.model import RewardModel
 from mapt.rewards.stage_trainer import TrainProgress
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,22 +34,22 @@ class TrainingJob:
 
 
 def train_in_processes(
-    train: Callable[[TrainingJob, ParentConnection], SavedRewardModel],
+    train: Callable[[TrainingJob, ParentConnection], T],
     jobs: Sequence[TrainingJob],
     workers: int,
     *,
     progress: Callable[[TrainProgress], None],
     stop: Callable[[], bool],
-) -> dict[int, SavedRewardModel]:
-    """The trained models by the number of their job; jobs that had not started when `stop` became true have none.
+) -> dict[int, T]:
+    """The results of `train` by the number of their job; jobs that had not started when `stop` became true have none.
 
     Args:
         train: a partial of a module-level function, which sends each `TrainProgress` to its parent.
 
     Raises:
-        MemberTrainingFailed: if a process ends without a model.
+        MemberTrainingFailed: if a process ends without a result.
     """
-    trained = dict[int, SavedRewardModel]()
+    trained = dict[int, T]()
     for done in run_jobs(train, jobs, workers, on_message=lambda job, at: progress(at), should_stop=stop):
         if done.result is None:
             raise MemberTrainingFailed(done.job.number, done.failure or "")

@@ -66,8 +66,8 @@ def train_reward_model(
         initial_metrics: the metrics of `initial`, which say when its attention path was last tried.
         hold_out: pairs of the same segments to evaluate on; by default a fraction of `dataset` is held out.
         reference: segments over which rewards are normalised (`RewardModel.normalised`); default: the dataset's own.
-        workers: processes that train the networks of a version at the same time, if attention is in use; 1 trains them
-            one after the other in this process. The result is the same.
+        workers: processes that train the networks of a version at the same time, if attention is in use or tried; 1
+            trains them one after the other in this process. The result is the same.
         progress: called after every epoch.
         stop: called before every step; true ends the training with the best weights so far.
 

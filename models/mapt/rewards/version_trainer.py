@@ -5,9 +5,10 @@
 
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -45,6 +46,8 @@ from mapt.rewards.schedule import (
     start_weights,
 )
 from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, TrainProgress, pairs_per_pass
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,7 @@ class VersionTrainer:
         self._first = self.folds[0]
         # Networks of a version whose attention is in use.
         self._network_count = min(n_networks(train_config, len(pairs)), len(self.folds))
-        # Whole networks that a trial trained on the folds after the first.
+        # Whole networks that a trial trained: on all folds that it judged, later on those after the first.
         self._tried = list[RewardNetwork]()
         # Whether the whole network continued from a trained one, and whether it was trained from untrained weights.
         self._warm = self._restarted = False
@@ -181,18 +184,21 @@ class VersionTrainer:
 
     def _train_in_processes(self, jobs: Sequence[TrainingJob]) -> list[RewardNetwork]:
         """The networks of `jobs`, in order; none if stopped."""
+        trained = self._in_processes(_train_network_in_process, jobs)
+        return [self._loaded(trained[job.number]) for job in jobs if trained]
+
+    def _in_processes(
+        self, train: Callable[[VersionData, TrainingJob, ParentConnection], T], jobs: Sequence[TrainingJob]
+    ) -> dict[int, T]:
+        """The results of `train` by the number of their job; none if stopped."""
+        data = VersionData(self._config, self._settings, self._pairs, self._held_out)
         trained = train_in_processes(
-            partial(_train_network_in_process, VersionData(self._config, self._settings, self._pairs, self._held_out)),
-            jobs,
-            self._workers,
-            progress=self._log_epoch,
-            stop=self._log.should_stop,
+            partial(train, data), jobs, self._workers, progress=self._log_epoch, stop=self._log.should_stop
         )
-        if self._log.stopped:
-            return []
-        saved = [trained[job.number] for job in jobs]
-        networks = [load_reward_model(each.weights, each.card).model.networks[0] for each in saved]
-        return [network.to(self._segments.device) for network in networks]
+        return {} if self._log.stopped else trained
+
+    def _loaded(self, saved: SavedRewardModel) -> RewardNetwork:
+        return load_reward_model(saved.weights, saved.card).model.networks[0].to(self._segments.device)
 
     def _seed_of(self, fold: int) -> int:
         return int(np.random.SeedSequence([self._settings.seed, fold]).generate_state(1)[0])
@@ -288,21 +294,59 @@ class VersionTrainer:
             losses: of the version's Markov path on each pair of its hold-out.
         """
         started, gains, accepted = self._log.seconds, list[Tensor](), None
-        for number, fold in enumerate(self.folds, 1):
-            self._log.part = f"trial of attention, fold {number} of at most {len(self.folds)}"
-            if number > 1:
-                losses = self._train_markov(self._new_model(), fold)
-            model = self._new_model()
-            network_losses = self._train_network(model, fold)
-            if self._log.stopped:
-                return None, None
-            self._tried.append(model)
-            gains.append(losses - network_losses)
+        for number, gain in enumerate(self._gains(losses), 1):
+            gains.append(gain)
             accepted = attention_trial.verdict(torch.cat(gains), is_last=number == len(self.folds))
             if accepted is not None:
                 break
+        if self._log.stopped:
+            return None, None
         trial = AttentionTrial(bool(accepted), torch.cat(gains), len(self._pairs), self._log.seconds - started)
         return (self._tried.pop(0) if accepted else None), trial
+
+    def _gains(self, losses: Tensor) -> Iterator[Tensor]:
+        """The gains (P,) of fold after fold, whose whole networks are trained when they are asked for. Ends if stopped.
+
+        Args:
+            losses: as of `_try_attention`.
+        """
+        self._log.part = self._try_name(0)
+        self._tried = [self._new_model()]
+        network_losses = self._train_network(self._tried[0], self._first)
+        if self._log.stopped:
+            return
+        yield losses - network_losses
+        jobs = [TrainingJob.of(fold, self._seed_of(fold), None) for fold in range(1, len(self.folds))]
+        for start in range(0, len(jobs), self._workers):
+            tries = self._try_folds(jobs[start : start + self._workers])
+            if self._log.stopped:
+                return
+            self._tried += [network for network, _ in tries]
+            yield from (gain for _, gain in tries)
+
+    def _try_folds(self, jobs: Sequence[TrainingJob]) -> list[tuple[RewardNetwork, Tensor]]:
+        """The results of `try_fold` for each job, in order; unknown if stopped."""
+        if len(jobs) == 1:
+            return [self.try_fold(jobs[0])]
+        tried = self._in_processes(_try_fold_in_process, jobs)
+        device = self._segments.device
+        return [(self._loaded(tried[job.number][0]), tried[job.number][1].to(device)) for job in jobs if tried]
+
+    def try_fold(self, job: TrainingJob) -> tuple[RewardNetwork, Tensor]:
+        """The whole network of a fold after the first, and its gain over a Markov path on each evaluated pair (P,).
+
+        It does not depend on the process that trains it, and is the network that `further_network` would train.
+        """
+        fold = self.folds[job.number]
+        self._log.part = self._try_name(job.number)
+        with seeded(job.seed, self._segments.device):
+            losses = self._train_markov(self._new_model(), fold)
+        with seeded(job.seed, self._segments.device):
+            model = self._new_model()
+            return model, losses - self._train_network(model, fold)
+
+    def _try_name(self, fold: int) -> str:
+        return f"trial of attention, fold {fold + 1} of at most {len(self.folds)}"
 
     def _more_folds(self, held_out: BoolArray) -> Iterator[Fold]:
         """The folds after the first: the pairs outside its hold-out, in equal parts."""
@@ -401,7 +445,18 @@ class VersionTrainer:
 
 
 def _train_network_in_process(data: VersionData, job: TrainingJob, parent: ParentConnection) -> SavedRewardModel:
-    trainer = VersionTrainer(
+    return save_reward_model(_trainer_in_process(data, parent).further_network(job), {})
+
+
+def _try_fold_in_process(
+    data: VersionData, job: TrainingJob, parent: ParentConnection
+) -> tuple[SavedRewardModel, Tensor]:
+    network, gains = _trainer_in_process(data, parent).try_fold(job)
+    return save_reward_model(network, {}), gains.cpu()
+
+
+def _trainer_in_process(data: VersionData, parent: ParentConnection) -> VersionTrainer:
+    return VersionTrainer(
         data.config,
         data.train_config,
         segment_reader(data.pairs.segments, resolve_device(data.train_config.device)),
@@ -409,4 +464,3 @@ def _train_network_in_process(data: VersionData, job: TrainingJob, parent: Paren
         pairs=data.pairs,
         held_out=data.held_out,
     )
-    return save_reward_model(trainer.further_network(job), {})

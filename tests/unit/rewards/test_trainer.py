@@ -582,6 +582,32 @@ def test_networks_trained_in_processes_equal_those_of_one_process(monkeypatch, n
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("decided_on", [2, 3, None], ids=["second fold", "last fold", "rejected"])
+def test_a_trial_in_processes_equals_one_in_this_process(monkeypatch, decided_on):
+    """With two processes, the third fold is tried beside the second, whether or not it is needed."""
+    folds_judged = []
+
+    def verdict(gains, *, is_last):
+        folds_judged.append(len(gains))
+        return True if len(folds_judged) == decided_on else False if is_last else None
+
+    monkeypatch.setattr(attention_trial, "verdict", verdict)
+    settings, results = replace(QUICK, networks=3, trial_folds=3), []
+    for workers in (1, 2):
+        folds_judged.clear()
+        with torch_threads(1):
+            results.append(train_reward_model(preferences(80), CONFIG, settings, workers=workers))
+    alone, side_by_side = results
+    accepted_it = decided_on is not None
+    assert (alone.metrics["attention"], alone.metrics["networks"]) == ((1, 3) if accepted_it else (0, 1))
+    assert same_weights(alone.model, side_by_side.model)
+    for name in ("attention_gain", "attention_gain_error", "attention_gain_pairs", "holdout_loss"):
+        assert alone.metrics[name] == side_by_side.metrics[name], name
+    folds = [name for name in dict.fromkeys(at.part for at in alone.history) if name.startswith("trial")]
+    assert folds == [f"trial of attention, fold {number} of at most 3" for number in range(1, (decided_on or 3) + 1)]
+
+
+@pytest.mark.slow
 def test_stop_ends_networks_in_processes(monkeypatch):
     first, epochs = accepted(monkeypatch), []
     # The first network ends after three epochs; then, four others train in two processes.
