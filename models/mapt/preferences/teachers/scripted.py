@@ -175,6 +175,7 @@ class ScriptedTeacher:
 
     @property
     def name(self) -> str:
+        """Its name, or that of the rule's class if it was not made by name."""
         return self._record.get("name", type(self.rule).__name__)
 
     def check_task(self, task_name: str, *, discrete_actions: bool) -> None:
@@ -184,19 +185,17 @@ class ScriptedTeacher:
             InvalidTeacher: if the rule is about other tasks, or about the joints of robots, but agents choose among
                 actions.
         """
-        prefix = self.rule.task_prefix
-        if prefix is not None:
-            if not task_name.startswith(prefix):
-                raise InvalidTeacher(f"{self.name} judges tasks whose names begin with {prefix}, not {task_name}.")
+        if _judges(self.rule, task_name, discrete_actions):
             return
-        if discrete_actions and not isinstance(self.rule, RewardRule):
-            suits = (name for name, rule in RULES.items() if isinstance(rule, RewardRule) or _is_about(rule, task_name))
-            suited = [*PRESETS, *suits]
-            suited.remove("return")
-            raise InvalidTeacher(
-                f"{self.name} judges how the joints of a robot move, but the "
-                f"agents of {task_name} have none. Teachers for it: {', '.join(suited)}."
-            )
+        suited = [*PRESETS, *(name for name, rule in RULES.items() if _judges(rule, task_name, discrete_actions))]
+        suited.remove("return")
+        prefix = self.rule.task_prefix
+        reason = (
+            f"judges how the joints of a robot move, but the agents of {task_name} have none"
+            if prefix is None
+            else f"judges tasks whose names begin with {prefix}, not {task_name}"
+        )
+        raise InvalidTeacher(f"{self.name} {reason}. Teachers for it: {', '.join(suited)}.")
 
     def check_spec(self, spec: "TaskSpec") -> None:
         """Check that the rule can judge a task and finds what it reads, by scoring segments of zeros.
@@ -325,8 +324,11 @@ class ScriptedTeacher:
         )
 
 
-def _is_about(rule: Rule, task_name: str) -> bool:
-    return rule.task_prefix is not None and task_name.startswith(rule.task_prefix)
+def _judges(rule: Rule, task_name: str, discrete_actions: bool) -> bool:
+    """Whether a rule can judge a task; one about joints cannot where agents choose among actions."""
+    if rule.task_prefix is not None:
+        return task_name.startswith(rule.task_prefix)
+    return not discrete_actions or isinstance(rule, RewardRule)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,16 +22,17 @@ _PLAYER_NUMBERS = 8
 
 #: values of `Match.owner_team`
 NOBODY, OURS, THEIRS = -1, 0, 1
-#: columns of a state: the ball's position and velocity, and what the engine counts, from the owner to the mode
-_BALL, _BALL_VELOCITY, _COUNTS = slice(0, 3), slice(3, 6), slice(6, _MATCH_NUMBERS)
+#: columns of a state: the ball's position and velocity, and whole numbers from the owner's team to the mode
+_BALL, _BALL_VELOCITY, _WHOLE = slice(0, 3), slice(3, 6), slice(6, _MATCH_NUMBERS)
+_GOALS, _MODE = slice(8, 10), 11
 #: modes of the match: normal, kick-off, goal kick, free kick, corner, throw-in, penalty
 N_MODES = 7
 NORMAL = 0
 #: places of two sticky actions after the eight directions
 SPRINT, DRIBBLE = 8, 9
 N_STICKY = 10
-#: x of the goal lines, half the width of the goals, and where a ball lies after a goal
-GOAL_X, GOAL_Y, IN_GOAL_X = 1.0, 0.044, 1.02
+#: half the width of the goals, and x of a ball that lies in one
+GOAL_Y, IN_GOAL_X = 0.044, 1.02
 
 
 def state_size(scenario: Scenario) -> int:
@@ -101,13 +102,13 @@ class Match:
         rest, n, ours = states[:, _MATCH_NUMBERS:], scenario.n_agents, len(scenario.team)
         agents = rest[:, : n * _AGENT_NUMBERS].reshape(len(states), n, _AGENT_NUMBERS)
         players = rest[:, n * _AGENT_NUMBERS :].reshape(len(states), -1, _PLAYER_NUMBERS)
-        whole = states[:, _COUNTS].astype(np.int64)
+        whole = states[:, _WHOLE].astype(np.int64)
         return cls(
             ball=states[:, _BALL],
             ball_velocity=states[:, _BALL_VELOCITY],
             owner_team=whole[:, 0],
             owner=whole[:, 1],
-            goals=states[:, 8:10],
+            goals=states[:, _GOALS],
             elapsed_steps=whole[:, 4],
             mode=whole[:, 5],
             controlled=agents[..., 0].astype(np.int64),
@@ -127,12 +128,12 @@ def last_states(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDAr
     After a goal, and when the ball is out of play, the engine has already placed ball and players for what comes next.
     Then the ball is where it flew, after a goal at rest in the goal, and the players are where they were.
     """
-    scored, mode = after[:, 8:10].any(axis=1), after[:, 11]
-    flew = scored | (mode != NORMAL)
+    scored = after[:, _GOALS].any(axis=1)
+    flew = scored | (after[:, _MODE] != NORMAL)
     last = np.where(flew[:, None], before, after)
-    last[:, _COUNTS] = after[:, _COUNTS]
+    last[:, _WHOLE] = after[:, _WHOLE]
     last[flew, _BALL] += before[flew, _BALL_VELOCITY]
-    last[scored, 0] = IN_GOAL_X * np.where(after[scored, 8] > 0, 1.0, -1.0)
+    last[scored, 0] = IN_GOAL_X * np.where(after[scored, _GOALS.start] > 0, 1.0, -1.0)
     last[scored, 1] = np.clip(last[scored, 1], -GOAL_Y, GOAL_Y)
     last[scored, 2] = 0.0
     last[scored, _BALL_VELOCITY] = 0.0
