@@ -53,10 +53,15 @@ class Round:
     states: NDArray[np.float64]
 
 
+def football(scenario: Scenario, n_envs: int) -> Football:
+    task = make_task(scenario.name, n_envs)
+    assert isinstance(task, Football)
+    return task
+
+
 def record(scenario: Scenario, n_envs: int) -> Round:
     """Record a round with uniformly random available actions."""
-    task, rng = make_task(scenario.name, n_envs), np.random.default_rng(1)
-    assert isinstance(task, Football)
+    task, rng = football(scenario, n_envs), np.random.default_rng(1)
     task.reset(0)
     # As `Football` draws them.
     seeds = np.random.default_rng(0)
@@ -146,7 +151,7 @@ def measure(scenario: Scenario, n_envs: int, rounds: int) -> None:
     engines, bare = in_processes([BareEngine(scenario, played, env) for env in range(n_envs)])
     np.testing.assert_array_equal(bare(), played.states)
     others, gfootball = in_processes([GoogleResearchFootball(scenario, played, env) for env in range(n_envs)])
-    task = make_task(scenario.name, n_envs)
+    task = football(scenario, n_envs)
     one_hot = np.eye(task.spec.action_dim, dtype=np.float32)[played.actions]
 
     def whole() -> None:
