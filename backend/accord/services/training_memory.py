@@ -133,9 +133,9 @@ def _processes_of_worker(config: ExperimentConfig, spec: TaskSpec, reward_proces
     """Processes in which a reward worker trains the networks of a version, or an ensemble; 0 for its own alone."""
     # The first fold of a version, and of a trial of its attention, is trained before the others.
     is_markov = _reward_network(config, spec).architecture == "mlp"
-    networks = 0 if is_markov else TrainConfig.preset(config.reward_preset).trial_folds - 1
+    folds = 0 if is_markov else TrainConfig.preset(config.reward_preset).trial_folds - 1
     members = config.ensemble_members if config.needs_ensemble else 1
-    at_once = min(reward_processes, max(networks, members))
+    at_once = min(reward_processes, max(folds, members))
     return at_once if at_once > 1 else 0
 
 

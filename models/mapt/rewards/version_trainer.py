@@ -325,7 +325,7 @@ class VersionTrainer:
             yield from (gain for _, gain in tries)
 
     def _try_folds(self, jobs: Sequence[TrainingJob]) -> list[tuple[RewardNetwork, Tensor]]:
-        """The results of `try_fold` for each job, in order; unknown if stopped."""
+        """The results of `try_fold` for each job, in order; perhaps fewer if stopped."""
         if len(jobs) == 1:
             return [self.try_fold(jobs[0])]
         tried = self._in_processes(_try_fold_in_process, jobs)

@@ -28,8 +28,9 @@ from mapt.preferences.teachers import (
     make_teacher,
 )
 from mapt.tasks import task_spec
-from mapt.tasks.football.match import Match
-from mapt.tasks.football.scenarios import SCENARIOS
+from mapt.tasks.football import match
+from mapt.tasks.football.drawing import METRES
+from mapt.tasks.football.scenarios import SCENARIOS, STEPS_PER_SECOND
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM, N_STEPS = 4, 6, 2, 12
 #: two ants and a board
@@ -290,16 +291,20 @@ def test_attacking_does_not_look_at_padding():
 
 
 def test_attacking_reads_the_states_of_football():
-    """The columns of the rule are those of `Match`."""
+    """The columns and constants of the rule are those of the tasks, which it cannot import."""
+    assert (attacking.NOBODY, attacking.OURS, attacking.THEIRS) == (match.NOBODY, match.OURS, match.THEIRS)
+    assert (attacking.NORMAL, attacking.GOAL_Y) == (match.NORMAL, match.GOAL_Y)
+    assert attacking.METRES.tolist() == METRES.tolist()
+    assert attacking.STEPS_PER_SECOND == STEPS_PER_SECOND
     states = np.arange(12.0)[None, None]
-    match = Match.of(
+    read = match.Match.of(
         np.concatenate([states[0], np.zeros((1, task_spec("Football-3-vs-1").nq - 12))], axis=1), SCENARIOS[0]
     )
-    assert states[0, :, attacking.BALL].tolist() == match.ball[:, :2].tolist()
-    assert states[0, :, attacking.BALL_VELOCITY].tolist() == match.ball_velocity[:, :2].tolist()
-    assert states[0, :, attacking.GOALS].tolist() == match.goals.tolist()
-    assert states[0, 0, attacking.OWNER_TEAM] == match.owner_team[0]
-    assert states[0, 0, attacking.MODE] == match.mode[0]
+    assert states[0, :, attacking.BALL].tolist() == read.ball[:, :2].tolist()
+    assert states[0, :, attacking.BALL_VELOCITY].tolist() == read.ball_velocity[:, :2].tolist()
+    assert states[0, :, attacking.GOALS].tolist() == read.goals.tolist()
+    assert states[0, 0, attacking.OWNER_TEAM] == read.owner_team[0]
+    assert states[0, 0, attacking.MODE] == read.mode[0]
     with pytest.raises(MissingArray, match="Football-"):
         Attacking().scores(TeacherView(np.zeros((1, 1)), qpos=states[..., :9]))
     with pytest.raises(InvalidTeacher, match="threat_metres"):

@@ -9,7 +9,7 @@ from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers.rules import Rule
 from mapt.preferences.teachers.view import Float64s, TeacherView
 
-#: Columns of a football task's qpos, see `mapt.tasks.football.match`: importing mapt.tasks here would load mujoco.
+#: Columns and values of a football task's qpos, as in `mapt.tasks.football.match`; importing that would load mujoco.
 BALL, BALL_VELOCITY, OWNER_TEAM, GOALS, MODE = slice(0, 2), slice(3, 5), 6, slice(8, 10), 11
 NOBODY, OURS, THEIRS, NORMAL = -1, 0, 1, 0
 #: metres per unit of x and y; the opponents' goal and half its width, in units
@@ -28,8 +28,9 @@ class Attacking(Rule):
     while the ball is in play and was not last the opponents'. The threat is exp(-d / `threat_metres`) for a ball that
     is d metres from the opponents' goal.
 
-    An attempt that fails loses nothing that it gained. If it did, the end of an attempt, which is nearly always a
-    failure at first, would be worse than anything else, and a team would learn to keep the ball away from everyone.
+    An attempt that fails loses nothing that it gained. When it did, the end of an attempt, which is nearly always a
+    failure at first, was worse than anything else, and a team learned to keep the ball away from everyone
+    (docs/results/benchmark-tasks.md, "Football").
     """
 
     goal: float = 3.0
@@ -58,8 +59,9 @@ class Attacking(Rule):
         shots = (self._shots(states) & view.mask[:, 1:]).sum(axis=1)
         threat = np.exp(-np.linalg.norm((states[..., BALL] - GOAL) * METRES, axis=2) / self.threat_metres)
         attacks = view.mask & (_last_owners(states) != THEIRS) & (states[..., MODE] == NORMAL)
+        # Not negative: the first step counts 0.
         risen = np.where(attacks, threat - threat[:, :1], 0.0).max(axis=1)
-        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + np.maximum(risen, 0.0)
+        return self.goal * (goals[:, 0] - goals[:, 1]) + self.shot * shots + risen
 
     @staticmethod
     def _shots(states: Float64s) -> NDArray[np.bool_]:

@@ -13,7 +13,8 @@ players and R opponents: 105 for 3-vs-1, 217 for the counterattacks and 98 for p
 | 7 R | each opponent: the same |
 | 7 | the nearest of them |
 
-The ball's zones are those of `ball_zone`, with each goal as a part of its penalty area, and outside of the pitch.
+The ball's zones are those of `ball_zone`, with each goal, and what is above it, as a part of its penalty area, and
+outside of the pitch.
 Velocities and speeds of players are 100 times, those of the ball 20 times coordinates per step. Players who were sent
 off are zeros.
 """

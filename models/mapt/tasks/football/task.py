@@ -113,11 +113,11 @@ class Football:
         goal = after.goals.any(axis=1)
         terminated, truncated = shown | at_limit & goal, at_limit & ~goal
 
+        self._ended = over & ~at_limit
         if over.any():
             self._seeds[over] = self._rng.integers(_SEEDS, size=over.sum())
             self._next_states[over] = starts
-        self._ended = over & ~at_limit
-        final = np.where(self._ended[:, None], last_states(self._states, final), final)
+            final = np.where(self._ended[:, None], last_states(self._states, final), final)
         final_observations, final_state = observed, state = self._observe(final)
         reset = terminated | truncated
         self._states = np.where(reset[:, None], self._next_states, final)
