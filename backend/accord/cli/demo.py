@@ -54,6 +54,7 @@ from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
 from mapt.training.results import RunResult, find_runs, grouped, markdown
+from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 from mapt.training.teacher_scores import TeacherScores, preference_rate
 
 _RUNS, _FIGURE, _TABLE = "runs", "returns.png", "returns.md"
@@ -98,6 +99,12 @@ def demo(
             "pairs show.",
         ),
     ] = 0.0,
+    label_schedule: Annotated[
+        LabelScheduleName, typer.Option(help="How the number of labels due grows with the policy's steps.")
+    ] = "power",
+    last_label_at: Annotated[
+        float, typer.Option(min=0.01, max=1, help="Share of the run at which the last label is due.")
+    ] = LAST_LABEL_AT,
     workers: Workers = 0,
     home: Annotated[
         Path | None, typer.Option(help="Folder of the demo's own service.  [default: home, in the output folder]")
@@ -126,6 +133,8 @@ def demo(
         render_clips=clips,
         query_selection=query_selection,
         novelty_weight=novelty_weight,
+        label_schedule=label_schedule,
+        last_label_at=last_label_at,
         answer_scale="five" if choice.teacher(0).bpref.slight else "three",
         baseline=baseline,
         # Experiments of the default algorithm do not name it.

@@ -28,6 +28,7 @@ from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
 from mapt.training.run_folder import RunFolder, load_policy
+from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 from mapt.training.settings import PreferenceRewardSettings, RunSettings
 from mapt.training.teacher_scores import TeacherScores, read_teacher_scores, score_policy, write_teacher_scores
 from mapt.training.video import record_video
@@ -79,6 +80,9 @@ class RunPlan:
     query_selection: str = "recent"
     #: penalty for states unlike those that the labelled pairs show
     novelty_weight: float = 0.0
+    #: when labels are due, see `LabelSchedule`
+    label_schedule: LabelScheduleName = "power"
+    last_label_at: float = LAST_LABEL_AT
     #: Runs are repeatable only if the policy waits for each reward version.
     pacing: str = "wait"
     #: policy settings that differ from the defaults
@@ -111,6 +115,8 @@ class RunPlan:
             self.reward_preset,
             self.query_selection,
             self.novelty_weight,
+            self.label_schedule,
+            self.last_label_at,
         )
         return RunSettings(
             task=self.task,
@@ -142,6 +148,9 @@ class Grid:
     query_selection: str = "recent"
     #: penalty for states unlike those that the labelled pairs show
     novelty_weight: float = 0.0
+    #: when labels are due, see `LabelSchedule`
+    label_schedule: LabelScheduleName = "power"
+    last_label_at: float = LAST_LABEL_AT
     #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -159,9 +168,11 @@ class Grid:
         size = "" if self.reward_preset == "small" else f" of size {self.reward_preset}"
         pairs = "" if self.query_selection == "recent" else f", {self.query_selection} pairs"
         novelty = f", novelty weight {self.novelty_weight:g}" if self.novelty_weight else ""
+        schedule = "" if self.label_schedule == "power" else f", {self.label_schedule} schedule"
+        last = "" if self.last_label_at == LAST_LABEL_AT else f", last label at {self.last_label_at:g}"
         learned = [
             self._plan(
-                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}{novelty}",
+                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}{novelty}{schedule}{last}",
                 seed,
                 PREFERENCES,
                 label_budget=labels,
@@ -173,6 +184,8 @@ class Grid:
                 answer_scale=self.answer_scale,
                 query_selection=self.query_selection,
                 novelty_weight=self.novelty_weight,
+                label_schedule=self.label_schedule,
+                last_label_at=self.last_label_at,
             )
             for labels in self.labels
             for model in self.reward_models

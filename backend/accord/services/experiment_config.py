@@ -15,7 +15,7 @@ from mapt.preferences.selection import needs_ensemble, selector_names
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting, within
 from mapt.tasks import task_names, task_spec
 from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
-from mapt.training.schedule import LabelSchedule, LabelScheduleName, Pacing
+from mapt.training.schedule import LAST_LABEL_AT, LabelSchedule, LabelScheduleName, Pacing
 
 RewardSource = Literal["preferences", "true"]
 # The next five repeat names of mapt's modules that import torch; a test compares them.
@@ -130,6 +130,15 @@ class ExperimentConfig(Settings):
             "a constant rate. decaying: at a rate that halves after a tenth of the run."
         ),
     ] = "power"
+    last_label_at: Annotated[
+        float,
+        setting(
+            "Share of the run at which the last label is due. Later labels change the policy less, but show the reward "
+            "model its last behaviour. With 1, the training ends before the last labels are given.",
+            ge=0.01,
+            le=1,
+        ),
+    ] = LAST_LABEL_AT
     query_selection: Annotated[
         QuerySelection,
         setting(
@@ -271,6 +280,7 @@ class ExperimentConfig(Settings):
             per_version=self.labels_per_version,
             lookahead=self.lookahead_queries,
             pacing=self.pacing,
+            last_label_at=self.last_label_at,
             name=self.label_schedule,
         )
 

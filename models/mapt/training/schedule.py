@@ -11,6 +11,8 @@ from typing import Literal
 
 #: random streams of an experiment: `default_rng([seed, stream, ...])` draws its segments and its queries
 SEGMENT_STREAM, QUERY_STREAM = 7, 11
+#: share of the run at which the last label is due by default: later labels could hardly change the policy
+LAST_LABEL_AT = 0.75
 
 #: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
@@ -55,8 +57,8 @@ class LabelSchedule:
     lookahead: int = 8
     #: see `Pacing`
     pacing: Pacing = "wait"
-    #: share of the run at which the last label is due: later labels could hardly change the policy
-    last_at: float = 0.75
+    #: share of the run at which the last label is due
+    last_label_at: float = LAST_LABEL_AT
     #: exponent of `power`; below 1, more labels are due early than late
     exponent: float = 0.7
     #: see `LabelScheduleName`; any other name counts as `power`
@@ -66,7 +68,7 @@ class LabelSchedule:
 
     def due(self, steps: int) -> int:
         """Labels due after `steps` environment steps: from `initial` up to `budget`."""
-        progress = min(1.0, steps / (self.last_at * self.total_steps))
+        progress = min(1.0, steps / (self.last_label_at * self.total_steps))
         return self.initial + floor((self.budget - self.initial) * self._share(progress))
 
     def _share(self, progress: float) -> float:
@@ -75,7 +77,7 @@ class LabelSchedule:
             return progress
         if self.name == "decaying":
             # the integral of 1 / (t + c) from 0, relative to that over the whole range
-            c = self.halved_at / self.last_at
+            c = self.halved_at / self.last_label_at
             return log1p(progress / c) / log1p(1 / c)
         return progress**self.exponent
 
@@ -149,7 +151,7 @@ class LabelSchedule:
         """
         if existing >= self.budget:
             return None
-        last = max(steps, ceil(self.last_at * self.total_steps))
+        last = max(steps, ceil(self.last_label_at * self.total_steps))
         return steps + bisect_left(range(steps, last), existing + 1 - self.lookahead, key=self.due)
 
     def cannot_start(self, progress: Progress) -> bool:

@@ -12,6 +12,7 @@ from mapt.policies import PolicyConfig
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 
 #: name of the task's own reward
 TRUE = "true"
@@ -65,6 +66,9 @@ class PreferenceRewardSettings:
     query_selection: str = "recent"
     #: see `mapt.rewards.config.TrainConfig`
     novelty_weight: float = 0.0
+    #: see `LabelSchedule`
+    label_schedule: LabelScheduleName = "power"
+    last_label_at: float = LAST_LABEL_AT
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,13 @@ def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
 
 
 @pytest.mark.parametrize(
-    ("name", "default", "own"), [("query_selection", "recent", "uniform"), ("novelty_weight", 0.0, 0.5)]
+    ("name", "default", "own"),
+    [
+        ("query_selection", "recent", "uniform"),
+        ("novelty_weight", 0.0, 0.5),
+        ("label_schedule", "power", "constant"),
+        ("last_label_at", 0.75, 1.0),
+    ],
 )
 def test_another_setting_has_other_experiments(name: str, default: object, own: object):
     usual, other = (

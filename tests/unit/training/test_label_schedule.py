@@ -28,6 +28,12 @@ def test_a_constant_rate_requests_labels_evenly():
     assert due == [100, 300, 500, 700, 900, 1100]
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_the_last_label_is_due_at_its_share_of_the_run(name: LabelScheduleName):
+    labels = LabelSchedule(500, 100, TOTAL, name=name, last_label_at=0.4)
+    assert labels.due(399) < labels.due(400) == labels.due(TOTAL) == 500
+
+
 def test_a_decaying_rate_halves_after_a_tenth_of_the_run():
     labels = LabelSchedule(10**7, 2, 10**6, name="decaying")
 

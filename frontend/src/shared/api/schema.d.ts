@@ -3043,6 +3043,11 @@ export interface components {
              */
             label_schedule: "power" | "constant" | "decaying";
             /**
+             * @description Share of the run at which the last label is due. Later labels change the policy less, but show the reward model its last behaviour. With 1, the training ends before the last labels are given.
+             * @default 0.75
+             */
+            last_label_at: number;
+            /**
              * @description How pairs are chosen after the first round, which is uniform. uniform: every pair without a query is equally likely. recent: near on-policy; half of the pairs compare two of the newest quarter of the last 2,000 segments, the others one of these with any of the last 2,000; segments that are in no query come first. disagreement, entropy: recent pairs on which an ensemble of reward models is least certain. k_center: recent pairs that differ most from earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other.
              * @default recent
              * @enum {string}

@@ -4,6 +4,7 @@ const LABELS: Readonly<Record<string, string>> = {
   total_steps: "Training steps",
   label_budget: "Label budget",
   initial_labels: "Labels before the first reward model",
+  last_label_at: "Share of the run at the last label",
   labels_per_version: "New labels per reward version",
   segment_steps: "Steps per clip",
   novelty_weight: "Penalty for unknown states",
