@@ -279,28 +279,36 @@ def train_policy(
     reward: Reward | None = None,
     *,
     algorithm: str = "mappo",
+    initial: TrainedPolicy | None = None,
     steps: int = 1_000_000,
     seed: int = 0,
     progress: bool | None = None,
     **settings: object,
 ) -> TrainedPolicy:
-    """Train a policy from scratch on a reward that does not change.
+    """Train a policy on a reward that does not change.
 
     Args:
         task: is reset; its environments are used until the training ends.
         reward: None for the task's own.
-        algorithm: mappo, happo, mat or mat_dec.
+        algorithm: mappo, happo, mat or mat_dec; that of `initial`, where there is one.
+        initial: policy of the same task to start from; None for an untrained one. It decides the networks.
         steps: environment steps over all environments, rounded up to whole rollouts.
         progress: show a progress bar; by default in a terminal.
         settings: others of `PolicyConfig`, where they differ from the algorithm's defaults and the task's.
 
     Raises:
-        InvalidConfig: if a setting is unknown or out of range.
+        InvalidConfig: if a setting is unknown, out of range, or asks for other networks than those of `initial`.
+        CheckpointMismatch: if `initial` is of another task.
         ModelMismatch: if the reward model was trained for other dimensions.
     """
-    given = {**settings, "algorithm": algorithm, "n_envs": task.n_envs, "seed": seed}
-    config = PolicyConfig.for_task(task.spec, given)
+    given = {**settings, "n_envs": task.n_envs, "seed": seed}
+    if initial is None:
+        given["algorithm"] = algorithm
+    stored = None if initial is None else initial.learner.config.to_dict()
+    config = PolicyConfig.for_task(task.spec, given, stored)
     learner = Learner(task, config)
+    if initial is not None:
+        learner.start_from(initial.learner.to_bytes())
     trainer = PolicyTrainer(learner, _reward_source(reward, task, config))
     if reward is not None:
         trainer.set_reward_version("fixed", lambda: reward.model)

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from mapt.errors import AlreadyExists, HubDenied, HubError, HubNotFound, HubUnreachable, InvalidConfig, RunNotFound
 from mapt.io import atomic_write
-from mapt.policies.checkpoint import describe, unflatten, unpack
+from mapt.policies.checkpoint import unflatten, unpack
+from mapt.policies.header import describe
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.training.evaluation import Evaluation
 from mapt.training.run_folder import (

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import mapt
-from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs, UnknownTeacher
+from mapt.errors import CheckpointMismatch, InvalidConfig, ModelMismatch, NotEnoughPairs, UnknownTeacher
 from mapt.preferences.teachers import TeacherView
 from mapt.rewards import novelty
+from mapt.tasks import Task
 
 TASK = "HalfCheetah-2x3"
 SETTINGS: dict[str, Any] = {"rollout_steps": 20, "epochs": 1, "minibatches": 1}
@@ -47,6 +48,21 @@ def test_a_policy_is_trained_on_labelled_segments_and_saved(
     assert found == mapt.evaluate(stored, other, episodes=2)
     assert found.lengths == (1000, 1000)
     assert found.returns != mapt.evaluate(policy, other, episodes=2, deterministic=False).returns
+
+
+def test_a_policy_may_start_from_another_one() -> None:
+    def task(name: str = TASK) -> Task:
+        return mapt.make_task(name, n_envs=4, n_threads=1)
+
+    first = mapt.train_policy(task(), algorithm="happo", steps=80, hidden=(8,), progress=False, **SETTINGS)
+    second = mapt.train_policy(task(), initial=first, steps=0, progress=False, **SETTINGS)
+    assert (second.learner.config.algorithm, second.learner.config.hidden) == ("happo", (8,))
+    seen = np.ones((3, 2, second.policy.spec.observation_dim), dtype=np.float32)
+    np.testing.assert_array_equal(second.policy.act(seen), first.policy.act(seen))
+    with pytest.raises(InvalidConfig, match=r"hidden is .* but the policy to start from has"):
+        mapt.train_policy(task(), initial=first, steps=0, hidden=(16,), progress=False, **SETTINGS)
+    with pytest.raises(CheckpointMismatch, match="of task HalfCheetah-2x3, not Ant-2x4"):
+        mapt.train_policy(task("Ant-2x4"), initial=first, steps=0, progress=False, **SETTINGS)
 
 
 def test_a_policys_reward_may_be_lower_in_states_that_the_segments_do_not_show(

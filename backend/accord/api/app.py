@@ -117,7 +117,10 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     app.add_middleware(
         BodyLimit,
         limit_bytes=settings.max_body_bytes,
-        larger={f"{PREFIX}{imports.PATH}": settings.max_import_bytes},
+        larger={
+            f"{PREFIX}{imports.PATH}": settings.max_import_bytes,
+            f"{PREFIX}{imports.POLICIES_PATH}": min(imports.MAX_POLICY_BYTES, settings.max_import_bytes),
+        },
         transfer_seconds=settings.transfer_timeout_seconds,
         authenticated=f"{PREFIX}/",
         public=(f"{PREFIX}/join/", f"{PREFIX}/sign-in/"),

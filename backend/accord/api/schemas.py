@@ -327,6 +327,14 @@ class NewExperiment(Schema):
         return self.model_extra or {}
 
 
+class UploadedPolicy(Schema):
+    """A policy that experiments can start from."""
+
+    id: str = Field(description="For the setting `initial_policy` of new experiments.")
+    task: str = Field(description="The task that it acts in.")
+    policy: dict[str, Any] = Field(description="Settings of its training, with those of its networks.")
+
+
 class LabelCounts(Schema):
     """Progress of an experiment's labelling."""
 

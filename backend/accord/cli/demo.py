@@ -33,6 +33,7 @@ from accord.domain.enums import ExperimentStatus, Role
 from accord.workers.runner import Stop
 from mapt.cli.options import (
     Algorithm,
+    InitialPolicyPath,
     Json,
     LabelCounts,
     Models,
@@ -54,6 +55,7 @@ from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
 from mapt.training.results import RunResult, find_runs, grouped, markdown
+from mapt.training.run_folder import initial_policy as stored_policy
 from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 from mapt.training.teacher_scores import TeacherScores, preference_rate
 
@@ -72,6 +74,7 @@ def demo(
     seeds: Seeds = "0",
     algorithm: Algorithm = _DEFAULT_ALGORITHM,
     settings: PolicySettings = None,
+    initial_policy: InitialPolicyPath = None,
     baseline: Annotated[bool, typer.Option(help="Also train on the true reward, once per seed.")] = True,
     clips: Annotated[bool, typer.Option(help="Render the clips that people would see.")] = False,
     video: Annotated[
@@ -135,6 +138,7 @@ def demo(
         novelty_weight=novelty_weight,
         label_schedule=label_schedule,
         last_label_at=last_label_at,
+        initial=None if initial_policy is None else stored_policy(initial_policy),
         answer_scale="five" if choice.teacher(0).bpref.slight else "three",
         baseline=baseline,
         # Experiments of the default algorithm do not name it.
@@ -152,9 +156,10 @@ def demo(
     if as_json:
         print_json([asdict(row) | {"share": row.share} for row in rows])
     else:
-        out.print(table(rows, f"{task}: true return after {steps:,} steps"))
+        first = "untrained" if initial_policy is None else "initial"
+        out.print(table(rows, f"{task}: true return after {steps:,} steps", first))
         if any(row.scored for row in rows):
-            out.print(score_table(rows, f"{task}: score by the teacher {choice.title} after {steps:,} steps"))
+            out.print(score_table(rows, f"{task}: score by the teacher {choice.title} after {steps:,} steps", first))
         print_paths(*(folder / name for name in (_RUNS, _FIGURE, _TABLE)))
 
 
@@ -330,13 +335,13 @@ def _mean(rows: Sequence[Row]) -> Row:
     return Row(rows[0].reward_model, seed="mean", **means, **stds)
 
 
-def table(rows: Sequence[Row], title: str) -> Table:
-    """The rows for the terminal."""
+def table(rows: Sequence[Row], title: str, first: str = "untrained") -> Table:
+    """The rows for the terminal; `first` is what the policies start from."""
     counts_success = not all(math.isnan(row.success) for row in rows)
     made = Table(title=title)
     made.add_column("reward model")
     for heading in (
-        *("labels", "seed", "untrained", "true reward", "learned reward", "share"),
+        *("labels", "seed", first, "true reward", "learned reward", "share"),
         *(["success"] if counts_success else []),
         *("versions", "minutes", "fresh pairs"),
     ):
@@ -359,13 +364,13 @@ def table(rows: Sequence[Row], title: str) -> Table:
     return made
 
 
-def score_table(rows: Sequence[Row], title: str) -> Table:
-    """The teacher's scores of the rows for the terminal."""
+def score_table(rows: Sequence[Row], title: str, first: str = "untrained") -> Table:
+    """The teacher's scores of the rows for the terminal; `first` as in `table`."""
     made = Table(title=title)
     made.add_column("reward model")
     for heading in (
-        *("labels", "seed", "untrained", "true reward", "learned reward"),
-        *("preferred to untrained", "preferred to true reward"),
+        *("labels", "seed", first, "true reward", "learned reward"),
+        *(f"preferred to {first}", "preferred to true reward"),
     ):
         made.add_column(heading, justify="right")
     for row in rows:

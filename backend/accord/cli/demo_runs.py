@@ -18,18 +18,20 @@ from accord.domain.enums import ExperimentStatus
 from accord.domain.errors import AccordError, Invalid, Unavailable
 from accord.services.experiment_config import read_config
 from accord.services.experiments import spec_of
+from accord.services.initial_policies import uploaded_id
 from mapt.cli.output import print_error
 from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import PolicyConfig
+from mapt.policies.header import describe
 from mapt.policies.learner import untrained_policy
 from mapt.preferences.teachers import ScriptedTeacher
 from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
-from mapt.training.run_folder import RunFolder, load_policy
+from mapt.training.run_folder import RunFolder, load_policy, policy_of, read_initial
 from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
-from mapt.training.settings import PreferenceRewardSettings, RunSettings
+from mapt.training.settings import InitialPolicy, PreferenceRewardSettings, RunSettings
 from mapt.training.teacher_scores import TeacherScores, read_teacher_scores, score_policy, write_teacher_scores
 from mapt.training.video import record_video
 
@@ -41,6 +43,8 @@ MAX_INITIAL_LABELS = 100
 #: One line per reward version of a run.
 VERSIONS_FILE = "versions.csv"
 _POLL_SECONDS = 0.5
+#: digits of a policy's SHA-256 in names
+_SHA_DIGITS = 8
 _SHOW_SECONDS = 1.0
 #: All videos start from the same state, so that they can be compared.
 _VIDEO_SEED = 0
@@ -83,14 +87,24 @@ class RunPlan:
     #: when labels are due, see `LabelSchedule`
     label_schedule: LabelScheduleName = "power"
     last_label_at: float = LAST_LABEL_AT
+    #: what the policy starts from; None for an untrained one
+    initial: InitialPolicy | None = None
     #: Runs are repeatable only if the policy waits for each reward version.
     pacing: str = "wait"
     #: policy settings that differ from the defaults
     policy: dict[str, Any] = field(default_factory=dict[str, Any])
 
+    @property
+    def experiment_settings(self) -> dict[str, Any]:
+        """The settings of the experiment, as the API takes them."""
+        settings = asdict(self)
+        del settings["name"], settings["initial"]
+        initial = "" if self.initial is None else uploaded_id(self.initial.sha256)
+        return settings | {"initial_policy": initial}
+
     def differences(self, config: Mapping[str, Any]) -> list[str]:
         """How an experiment's settings differ from these, as clauses of a sentence."""
-        own = {name: value for name, value in asdict(self).items() if name != "name"}
+        own = self.experiment_settings
         # An experiment of an earlier version lacks later settings.
         found = {name: config.get(name, value) for name, value in own.items()}
         return [f"{name} is {found[name]!r}, not {value!r}" for name, value in own.items() if found[name] != value]
@@ -118,11 +132,13 @@ class RunPlan:
             self.label_schedule,
             self.last_label_at,
         )
+        stored = None if self.initial is None else describe(read_initial(self.initial)).config
         return RunSettings(
             task=self.task,
-            policy=PolicyConfig.for_task(task_spec(self.task), {"seed": self.seed, **self.policy}),
+            policy=PolicyConfig.for_task(task_spec(self.task), {"seed": self.seed, **self.policy}, stored),
             steps=self.total_steps,
             reward=learned if self.reward_source == PREFERENCES else None,
+            initial_policy=self.initial,
         )
 
 
@@ -151,6 +167,8 @@ class Grid:
     #: when labels are due, see `LabelSchedule`
     label_schedule: LabelScheduleName = "power"
     last_label_at: float = LAST_LABEL_AT
+    #: what every policy starts from; None for an untrained one
+    initial: InitialPolicy | None = None
     #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -172,7 +190,7 @@ class Grid:
         last = "" if self.last_label_at == LAST_LABEL_AT else f", last label at {self.last_label_at:g}"
         learned = [
             self._plan(
-                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}{pairs}{novelty}{schedule}{last}",
+                f"{self._start(seed)}, {model}{size}, {labels} labels of {teacher}{pairs}{novelty}{schedule}{last}",
                 seed,
                 PREFERENCES,
                 label_budget=labels,
@@ -192,8 +210,13 @@ class Grid:
         ]
         # Constants, so that demos with other numbers of labels share the run.
         no_labels = {"label_budget": 0, "initial_labels": 0, "labels_per_version": 1, "render_clips": False}
-        true = [self._plan(f"{self.task} seed {seed}, true reward", seed, TRUE, **no_labels)] if self.baseline else []
+        true = [self._plan(f"{self._start(seed)}, true reward", seed, TRUE, **no_labels)] if self.baseline else []
         return [*true, *learned]
+
+    def _start(self, seed: int) -> str:
+        """The beginning of the names of a seed's runs."""
+        initial = "" if self.initial is None else f" from policy {self.initial.sha256[:_SHA_DIGITS]}"
+        return f"{self.task} seed {seed}{initial}"
 
     def _plan(self, name: str, seed: int, source: str, **settings: Any) -> RunPlan:
         return RunPlan(
@@ -203,6 +226,7 @@ class Grid:
             seed=seed,
             total_steps=self.total_steps,
             policy=dict(self.policy),
+            initial=self.initial,
             **settings,
         )
 
@@ -269,7 +293,7 @@ def check_plans(plans: Sequence[RunPlan], teacher: ScriptedTeacher) -> None:
     """
     for plan in plans:
         spec = spec_of(plan.task)
-        read_config({name: value for name, value in asdict(plan).items() if name != "name"})
+        read_config(plan.experiment_settings)
         teacher.check_spec(spec)
 
 
@@ -349,7 +373,9 @@ def run_experiment(
 
 def _create_or_resume(client: Client, plan: RunPlan, known: Experiment | None) -> str:
     if known is None:
-        return client.create_experiment(**asdict(plan)).id
+        if plan.initial is not None:
+            client.upload_policy(plan.initial.path)
+        return client.create_experiment(plan.name, **plan.experiment_settings).id
     if known.status in {ExperimentStatus.PAUSED, ExperimentStatus.FAILED}:
         client.resume(known.id)
     return known.id
@@ -412,7 +438,7 @@ def _attention(versions: Sequence[RewardVersion]) -> bool | None:
 def _teacher_scores(
     choice: TeacherChoice, plan: RunPlan, folder: RunFolder, segment_steps: int
 ) -> TeacherScores | None:
-    """Scores of the untrained and the final policy by a new teacher, read from the run folder if they are there."""
+    """Scores of the first and the final policy by a new teacher, read from the run folder if they are there."""
     teacher = choice.teacher(plan.seed)
     if teacher.rule.is_return:
         return None
@@ -420,7 +446,11 @@ def _teacher_scores(
     known = read_teacher_scores(folder).get(choice.title)
     if known is not None and (known.steps, known.segment_steps) == (saved.steps, segment_steps):
         return known
-    spec = task_spec(saved.task, agent_obsk=saved.agent_obsk)
+    if plan.initial is None:
+        spec = task_spec(saved.task, agent_obsk=saved.agent_obsk)
+        first = untrained_policy(spec, folder.settings().policy)
+    else:
+        first = policy_of(read_initial(plan.initial), "auto", saved.agent_obsk).policy
     untrained, final = (
         score_policy(
             policy,
@@ -430,7 +460,7 @@ def _teacher_scores(
             segment_steps=segment_steps,
             seed=plan.seed,
         )
-        for policy in (untrained_policy(spec, folder.settings().policy), saved.policy)
+        for policy in (first, saved.policy)
     )
     if not (len(untrained) and len(final)):
         return None

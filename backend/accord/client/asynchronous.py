@@ -27,6 +27,7 @@ from accord.api.schemas import (
     Query,
     RewardVersion,
     RewardVersionPage,
+    UploadedPolicy,
     Worker,
 )
 from accord.client.http import RETRY_SECONDS, AsyncConnection, Connection, ConnectionOptions, Http
@@ -258,6 +259,15 @@ class AsyncClient:
         # The card last: where a policy already trains on this folder, it completes the new version.
         atomic_write(folder / "reward.json", card)
         return number
+
+    async def upload_policy(self, file: str | Path) -> UploadedPolicy:
+        """Send a policy to start experiments from: `create_experiment(initial_policy=uploaded.id, ...)`.
+
+        Args:
+            file: checkpoint.safetensors of a run of `mapt train` or `mapt imitate`, or what `download_policy` wrote.
+        """
+        request = {"timeout": _LONG_TIMEOUT_SECONDS, "file": Path(file)}
+        return _parse(UploadedPolicy, await self._http.request("POST", "/policies", **request))
 
     async def download_policy(self, experiment_id: str, file: str | Path) -> None:
         """Write the newest checkpoint of the policy, for `mapt.load_policy(file, task)`."""

@@ -82,6 +82,7 @@ class Client:
     teach = _blocking(AsyncClient.teach)
     label_queries = _blocking(AsyncClient.label_queries)
     download_reward = _blocking(AsyncClient.download_reward)
+    upload_policy = _blocking(AsyncClient.upload_policy)
     download_policy = _blocking(AsyncClient.download_policy)
     export = _blocking(AsyncClient.export)
     import_experiment = _blocking(AsyncClient.import_experiment)

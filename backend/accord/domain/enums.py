@@ -22,6 +22,11 @@ class ExperimentStatus(StrEnum):
     FINISHED = "finished"
     FAILED = "failed"
 
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended for good, unless a failed one is resumed."""
+        return self in {ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED}
+
 
 class Phase(StrEnum):
     """What the policy worker is doing with a running experiment."""

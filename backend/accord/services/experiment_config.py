@@ -233,12 +233,25 @@ class ExperimentConfig(Settings):
             overrides=PolicyConfig,
         ),
     ] = field(default_factory=dict[str, object])
+    initial_policy: Annotated[
+        str,
+        setting(
+            "What the policy starts from: the id of an experiment on the same task, for its newest policy, or of an "
+            "uploaded policy. The networks are those of the stored policy. Empty: an untrained policy.",
+            max_length=100,
+        ),
+    ] = ""
     device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     seed: Annotated[int, setting("Seed of all random numbers of the run.", ge=0, le=2**31 - 1)] = 0
 
     def check(self) -> None:
-        """Checks the label budget, the policy's settings, and that a rollout holds a segment. Raises InvalidConfig."""
+        """Checks the policy's settings, the label budget, and that a rollout holds a segment. Raises InvalidConfig."""
         policy = self.policy_config()
+        if self.initial_policy and policy.restart_steps:
+            raise InvalidConfig(
+                f"policy.restart_steps is {policy.restart_steps}; with initial_policy it must be 0.",
+                "policy.restart_steps",
+            )
         if self.reward_source != "preferences":
             return
         if not 2 <= self.initial_labels <= self.label_budget:

@@ -15,17 +15,19 @@ from accord.domain.errors import (
     UnknownTask,
 )
 from accord.domain.ids import new_id
-from accord.services import webhooks
+from accord.services import checkpoints, webhooks
 from accord.services.experiment_config import ExperimentConfig, read_config
+from accord.services.initial_policies import InitialPolicy
 from accord.services.training_memory import THIS_MACHINE, MemoryLimit, require_fits
 from accord.services.validation import check_line, check_lines
 from accord.store import attempts, experiments
 from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
+from mapt.errors import InvalidConfig
 from mapt.errors import UnknownTask as UnknownMaptTask
 from mapt.policies.config import settings_for
+from mapt.settings import within
 from mapt.tasks import TaskSpec, task_names, task_spec
 
-OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
 #: characters of the instructions
 MAX_INSTRUCTIONS = 20_000
 _COUNTED = (QueryStatus.OPEN.value, QueryStatus.RENDERING.value)
@@ -65,6 +67,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     experiment_id: str | None = None,
     memory: MemoryLimit = THIS_MACHINE,
     creation_key: str | None = None,
+    initial: InitialPolicy | None = None,
 ) -> ExperimentRow:
     """Creates an experiment, which a policy worker then claims.
 
@@ -73,11 +76,14 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         experiment_id: its id, where blobs of it are stored already; a new one by default.
         memory: that its training may need.
         creation_key: by which `created_by` finds it when the request is repeated.
+        initial: a copy of the policy that it starts from; by default it starts from an untrained one, also where
+            `config` names another, as that of an imported experiment may.
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a segment is longer than an episode, if the training does not fit in memory, or if the
-            task's own settings of the policy are invalid.
+        InvalidExperiment: if a segment is longer than an episode, if the training does not fit in memory, if the
+            task's own settings of the policy are invalid, or if the policy to start from is of another task or other
+            networks.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
@@ -89,10 +95,11 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
             f"episode of {config.task}.",
             "segment_steps",
         )
-    # The task's settings are stored too, so that a later version of Accord may change them.
-    config = read_config(config.to_dict() | {"policy": settings_for(spec, config.policy)})
+    config = _complete(config, spec, initial)
     require_fits(config, spec, memory)
     shown = check_lines(instructions or "", "instructions", MAX_INSTRUCTIONS) or spec.instructions
+    if initial is not None:
+        experiment_id = initial.experiment_id
     row = ExperimentRow(
         id=experiment_id or new_id("exp"),
         name=line,
@@ -104,8 +111,27 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     session.add(row)
     session.flush()
     session.add(InstructionRevisionRow(experiment_id=row.id, number=1, text=shown))
+    if initial is not None:
+        checkpoints.save(session, row.id, 0, 0, initial.blob_key, None)
     session.flush()
     return row
+
+
+def _complete(config: ExperimentConfig, spec: TaskSpec, initial: InitialPolicy | None) -> ExperimentConfig:
+    """With the settings that the task and the policy to start from decide. Raises InvalidExperiment."""
+    if initial is not None and initial.about.task != spec.name:
+        raise InvalidExperiment(
+            f"The policy {config.initial_policy} is of the task {initial.about.task}, not of {spec.name}.",
+            "initial_policy",
+        )
+    try:
+        with within("policy"):
+            policy = settings_for(spec, config.policy, None if initial is None else initial.about.config)
+    except InvalidConfig as error:
+        raise InvalidExperiment(str(error), error.field) from error
+    # The task's settings are stored too, so that a later version of Accord may change them.
+    changes = {"policy": policy, "initial_policy": config.initial_policy if initial else ""}
+    return read_config(config.to_dict() | changes)
 
 
 def spec_of(task: str) -> TaskSpec:
@@ -316,7 +342,7 @@ def fail(session: Session, experiment_id: str, reason: str) -> bool:
 
 def require_not_over(experiment_id: str, status: str) -> None:
     """Raises ExperimentNotActive if the experiment has ended, after which its labels are final."""
-    if status in OVER:
+    if ExperimentStatus(status).is_over:
         raise ExperimentNotActive(experiment_id, status, "running or paused")
 
 

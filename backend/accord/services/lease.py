@@ -19,7 +19,6 @@ from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, Que
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import access, checks
 from accord.services.accounts import Caller
-from accord.services.experiments import OVER
 from accord.store import experiments, queries
 from accord.store.experiments import LabellingState
 from accord.store.queries import QuerySegment, ShownQuery
@@ -129,7 +128,7 @@ def next_disputed(
     if state is None:
         raise ExperimentNotFound(experiment_id)
     task = str(state.config["task"])
-    if state.status in OVER:
+    if ExperimentStatus(state.status).is_over:
         return Leased(task, [], "experiment_over")
     now, until = now_and_end(lease_seconds)
     ids = queries.lock_disputed_ids(session, user.id, experiment_id, now, count, tab=tab)

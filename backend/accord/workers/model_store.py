@@ -83,6 +83,18 @@ def read_checkpoint(
         return stored.context, Learner.from_bytes(stored.learner, task, make_task)
 
 
+def read_initial_policy(blobs: BlobStore, key: str, learner: Learner) -> None:
+    """Have a new learner start from the policy of a stored checkpoint.
+
+    Raises:
+        BlobMissing, BlobDamaged: if it cannot be read.
+        CheckpointError: if it is of other networks, or a later version of this program wrote it.
+    """
+    content = blobs.read(key)
+    with _named(key):
+        learner.start_from(PolicyCheckpoint.from_bytes(content).learner)
+
+
 @contextmanager
 def _named(key: str) -> Generator[None]:
     """Name the blob in the error of a damaged checkpoint."""

@@ -23,7 +23,7 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.services.metrics import FINAL, UNTRAINED
 from accord.store.tables import ExperimentRow, RecordingRow, RewardVersionRow
 from accord.workers.heartbeat import Claim
-from accord.workers.model_store import read_checkpoint, read_reward_model, store_checkpoint
+from accord.workers.model_store import read_checkpoint, read_initial_policy, read_reward_model, store_checkpoint
 from accord.workers.recording import play_start
 from accord.workers.replayed_clips import RolloutReplay, needs_replay
 from accord.workers.runner import Context
@@ -165,6 +165,10 @@ class PolicyRun:
         unreadable: list[BlobUnreadable] = []
         for row in rows:
             try:
+                if row.iteration == 0:
+                    learner = Learner(task, settings, make)
+                    read_initial_policy(self._context.blobs, row.blob_key, learner)
+                    return PolicyTrainer(learner, self._reward_source(settings.n_envs, None, {}))
                 context, learner = read_checkpoint(self._context.blobs, row.blob_key, task, make)
             except BlobUnreadable as error:
                 # The iterations since an older checkpoint are repeated; that is better than to stop.

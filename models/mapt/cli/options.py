@@ -38,6 +38,14 @@ PairDistance = Annotated[
         "the dataset. 1 draws any two, as in the paper; 0.05 compares segments of policies that are about as good.",
     ),
 ]
+InitialPolicyPath = Annotated[
+    Path | None,
+    typer.Option(
+        "--initial-policy",
+        help="Policy to start from: the folder of a run on the same task, of `mapt train` or `mapt imitate`, or a "
+        "checkpoint. It decides algorithm and networks.  [default: an untrained policy]",
+    ),
+]
 PolicySettings = Annotated[
     list[str] | None,
     typer.Option(

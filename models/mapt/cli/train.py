@@ -12,6 +12,7 @@ from mapt.cli.options import (
     AgentObsk,
     Algorithm,
     Device,
+    InitialPolicyPath,
     Output,
     PolicySettings,
     Ray,
@@ -27,7 +28,8 @@ from mapt.cli.options import (
 from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.cluster import JobPool
 from mapt.device import resolve_device
-from mapt.errors import InvalidConfig
+from mapt.errors import CheckpointMismatch, InvalidConfig
+from mapt.policies.header import describe
 from mapt.processes import JobResult, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
@@ -39,7 +41,9 @@ from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
 from mapt.training.run_file import RewardChoice, RunFile, Sweep, cells, merged, read_toml, share
-from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
+from mapt.training.run_folder import initial_policy as stored_policy
+from mapt.training.run_folder import read_initial
+from mapt.training.settings import TRUE, InitialPolicy, LearnedRewardSettings, RunSettings
 
 _STATUS_STOPPED = 130
 _STATUS_FAILED = 2
@@ -78,6 +82,7 @@ def train(
     steps: Steps = 1_000_000,
     seeds: Seeds = "0",
     settings: PolicySettings = None,
+    initial_policy: InitialPolicyPath = None,
     agent_obsk: AgentObsk = DEFAULT_AGENT_OBSK,
     segment_steps: Annotated[
         int | None,
@@ -137,11 +142,15 @@ def train(
         "device": device,
         "algorithm": algorithm,
         "settings": _policy_settings(settings or []),
+        "initial_policy": "" if initial_policy is None else str(initial_policy),
         "reward": reward,
         "segment_steps": segment_steps,
         "policy_reward": policy_reward,
         "credit": credit,
     }
+    if initial_policy is not None and not _is_given(context, "algorithm"):
+        # The default would contradict a stored policy of another algorithm.
+        del options["algorithm"]
     loggers = RunLoggers(parse_list("--log", log) if log else (), print_error)
     chosen = _settings_of(options)
     if run_file is not None:
@@ -193,19 +202,30 @@ def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
 
 
 def _runs(file: RunFile) -> list[RunSettings]:
-    """A run for each seed. Raises InvalidConfig or CheckpointError as `_learned_reward`."""
+    """A run for each seed. Raises as `_learned_reward` and `initial_policy`."""
     learned = None if file.reward.path == TRUE else _learned_reward(file.reward)
+    initial = stored_policy(Path(file.initial_policy)) if file.initial_policy else None
+    config = None if initial is None else _config_of(initial, file.task)
     return [
         RunSettings(
             task=file.task,
-            policy=file.policy_config(seed),
+            policy=file.policy_config(seed, config),
             steps=file.steps,
             reward=learned,
             agent_obsk=file.agent_obsk,
             evaluate_every_steps=file.evaluate_every_steps,
+            initial_policy=initial,
         )
         for seed in file.seeds
     ]
+
+
+def _config_of(initial: InitialPolicy, task: str) -> dict[str, object]:
+    """The settings of the stored policy. Raises CheckpointMismatch if it is of another task."""
+    found = describe(read_initial(initial))
+    if found.task != task:
+        raise CheckpointMismatch(f"The policy in {initial.path} is of task {found.task}, not {task}.")
+    return found.config
 
 
 def _learned_reward(choice: RewardChoice) -> LearnedRewardSettings:

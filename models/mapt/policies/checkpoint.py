@@ -5,21 +5,15 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import safetensors.torch
 from safetensors import SafetensorError
-from torch import Tensor
+from torch import Tensor, nn
 
-from mapt.errors import CheckpointMismatch, DamagedCheckpoint, InvalidConfig, NewerCheckpoint, TaskError
+from mapt.errors import CheckpointMismatch, DamagedCheckpoint, InvalidConfig, TaskError
+from mapt.policies.header import DESCRIPTION_KEY, FORMAT_VERSION, describe
 from mapt.policies.kernels import Adam
 
-#: Format 1 had other names for parts of MAT's decoder.
-FORMAT_VERSION = 2
-#: Key of the description in the header's metadata, which maps strings to strings.
-_DESCRIPTION = "mapt.policies"
-#: A safetensors file starts with the length of its JSON header in this many bytes, little-endian.
-_LENGTH_BYTES = 8
 #: Names in format 1, as patterns, and in format 2.
 _RENAMED = {
     r"^decoder\.network\.": "decoder.",
@@ -75,36 +69,7 @@ def load_optimiser_state(optimisers: Sequence[Adam], state: Mapping[str, Tensor]
 def pack(tensors: dict[str, Tensor], description: Mapping[str, object]) -> bytes:
     """Tensors and a description, as the bytes of a safetensors file."""
     header = json.dumps({"format": FORMAT_VERSION, **description}, sort_keys=True)
-    return safetensors.torch.save(tensors, metadata={_DESCRIPTION: header})
-
-
-@dataclass(frozen=True, slots=True)
-class Description:
-    """The header of a checkpoint."""
-
-    #: name of the task
-    task: str
-    #: the learner's settings, from `PolicyConfig.to_dict`
-    config: dict[str, object]
-
-
-def describe(content: bytes) -> Description:
-    """Read the header of a checkpoint.
-
-    Raises:
-        DamagedCheckpoint: if it is not a checkpoint of a learner.
-        NewerCheckpoint: if a later version of this library wrote it.
-    """
-    try:
-        length = int.from_bytes(content[:_LENGTH_BYTES], "little")
-        header = json.loads(content[_LENGTH_BYTES : _LENGTH_BYTES + length])
-        description = json.loads(header["__metadata__"][_DESCRIPTION])
-        version, task, config = int(description["format"]), description["task"], description["config"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DamagedCheckpoint(repr(error)) from error
-    if version > FORMAT_VERSION:
-        raise NewerCheckpoint(version, FORMAT_VERSION)
-    return Description(task, config)
+    return safetensors.torch.save(tensors, metadata={DESCRIPTION_KEY: header})
 
 
 def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str, object]]:
@@ -120,6 +85,12 @@ def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str,
         return safetensors.torch.load(content), description.config
     except SafetensorError as error:
         raise DamagedCheckpoint(repr(error)) from error
+
+
+def load_networks(policy: nn.Module, parts: Mapping[str, Mapping[str, Tensor]]) -> None:
+    """Restore a policy's networks, with their statistics. Raises KeyError or RuntimeError if they are others."""
+    for name, network in policy.named_children():
+        network.load_state_dict(parts[name])
 
 
 @contextmanager

@@ -27,18 +27,40 @@ def _steps(description: str) -> Any:
     return setting(description, ge=0, le=10**12, unit="steps")
 
 
+#: Settings that decide what networks a policy has.
+NETWORK_SETTINGS = ("algorithm", "hidden", "activation", "width", "layers", "heads", "shared_actor")
+
 Width = Annotated[int, setting("Units of a layer.", ge=1, le=8192)]
 
 
-def settings_for(task: TaskSpec, settings: Mapping[str, object]) -> dict[str, object]:
+def settings_for(
+    task: TaskSpec, settings: Mapping[str, object], initial: Mapping[str, object] | None = None
+) -> dict[str, object]:
     """Settings of a policy for a task: those given, then the task's own (`TaskSpec.policy_settings`).
 
     What neither has, keeps the algorithm's default. A task's shared actor is left out for happo, which has none.
+
+    Args:
+        initial: settings of the stored policy that this one starts from, which has the same networks.
+
+    Raises:
+        InvalidConfig: if `settings` ask for other networks than those of the stored policy.
     """
+    networks = {} if initial is None else {name: initial[name] for name in NETWORK_SETTINGS if name in initial}
+    for name, value in networks.items():
+        if name in settings and _plain(settings[name]) != _plain(value):
+            raise InvalidConfig(
+                f"{name} is {settings[name]!r}, but the policy to start from has {value!r}. Leave {name} out.", name
+            )
+    given = {**settings, **networks}
     of_task = dict(task.policy_settings)
-    if settings.get("algorithm") == "happo":
+    if given.get("algorithm") == "happo":
         of_task.pop("shared_actor", None)
-    return {**of_task, **settings}
+    return {**of_task, **given}
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,9 +246,11 @@ class PolicyConfig(Settings):
         return cls.from_dict({"algorithm": algorithm, **settings})
 
     @classmethod
-    def for_task(cls, task: TaskSpec, settings: Mapping[str, object]) -> Self:
-        """The configuration of a new policy, by `settings_for`. Raises as `from_dict`."""
-        return cls.from_dict(settings_for(task, settings))
+    def for_task(
+        cls, task: TaskSpec, settings: Mapping[str, object], initial: Mapping[str, object] | None = None
+    ) -> Self:
+        """The configuration of a new policy, by `settings_for`. Raises as `from_dict` and `settings_for`."""
+        return cls.from_dict(settings_for(task, settings, initial))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> Self:

@@ -19,7 +19,7 @@ from mapt.device import resolve_device, seeded, torch_threads
 from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
 from mapt.policies import checkpoint
-from mapt.policies.config import PolicyConfig
+from mapt.policies.config import PolicyConfig, settings_for
 from mapt.policies.mat import EncoderCritic, MultiAgentTransformer
 from mapt.policies.networks import ActorCritic, Actors, Policy, StateCritic
 from mapt.policies.normalisation import ValueRescaler
@@ -98,6 +98,27 @@ class Learner:
             make_policy = partial(untrained_policy, self.task.spec, self.config)
             remote = RemoteSlots(make_task, make_policy, self.config.n_threads)
         return SlotCollector(self.task, self.config.collectors, self.config.seed, remote)
+
+    def start_from(self, content: bytes) -> None:
+        """Take over the networks of another learner of this task. Call it before the first rollout.
+
+        They come with their input statistics, and the critic with values that the first update rescales to the new
+        rewards. Steps, optimisers and random numbers stay those of a new learner.
+
+        Args:
+            content: the other learner's `to_bytes`.
+
+        Raises:
+            CheckpointError: if it is damaged, or of another task or other networks.
+        """
+        tensors, stored = checkpoint.unpack(content, self.task.spec.name)
+        with checkpoint.refusing_mismatch():
+            # Some networks, such as those of another activation, have tensors of the same shapes.
+            settings_for(self.task.spec, self.config.to_dict(), stored)
+            parts = checkpoint.unflatten(tensors)
+            checkpoint.load_networks(self.policy, parts)
+            self._value_rescaler.load_state_dict(parts["learner"])
+        self.reward_changed()
 
     def collect(self) -> Rollout:
         """Step the task `rollout_steps` times with the current policy, which starts anew if that is due."""
@@ -201,8 +222,7 @@ class Learner:
         """
         with checkpoint.refusing_mismatch():
             parts = checkpoint.unflatten(tensors)
-            for name, network in self.policy.named_children():
-                network.load_state_dict(parts[name])
+            checkpoint.load_networks(self.policy, parts)
             checkpoint.load_optimiser_state(self._update.optimisers, parts.get("optimiser", {}))
             self._collector.load_state_dict(parts["collector"])
             own = parts["learner"]

@@ -102,10 +102,10 @@ def _draw_labels(axes: Axes, groups: Sequence[Group]) -> None:
 
 
 def _draw_teacher(axes: Axes, rows: Sequence[TeacherRow], styles: Sequence[LineStyle]) -> None:
-    """One line per reward: a marker for each seed, and the mean. The first line are the untrained policies."""
+    """One line per reward: a marker for each seed, and the mean. The first line are the policies before training."""
     untrained = {seed: value for row in rows for seed, value in zip(row.seeds, row.untrained, strict=True)}
     lines = [
-        ("untrained", list(untrained.values()), LineStyle(GREY, "o", "solid")),
+        ("before training", list(untrained.values()), LineStyle(GREY, "o", "solid")),
         *((row.group.label, row.final, style) for row, style in zip(rows, styles, strict=True)),
     ]
     for index, (_, values, style) in enumerate(lines):

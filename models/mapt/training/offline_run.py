@@ -84,14 +84,15 @@ class OfflineRun:
         self._checkpoint_seconds, self._physics_threads = checkpoint_seconds, physics_threads
         folder.check(settings)
         config = settings.policy
-        # The task gives the learner its dimensions; training does not step it.
+        # The task gives the learner its dimensions, and checkpoints hold its state; training does not step it.
         task = make_task(settings.task, config.envs_per_collector, n_threads=1, agent_obsk=settings.agent_obsk)
         try:
             stored = folder.last_checkpoint()
             self.learner = Learner.from_bytes(stored.learner, task) if stored else Learner(task, config)
             self._trainer = make_offline_trainer(imitation, self.learner, config.seed)
-        finally:
+        except BaseException:
             task.close()
+            raise
         #: Gradient steps done, and lines of metrics.
         self.steps = self.iteration = 0
         if stored:
@@ -108,6 +109,7 @@ class OfflineRun:
     def __exit__(self, *_: object) -> None:
         self._events.close()
         self._metrics.close()
+        self.learner.task.close()
 
     def train(self) -> bool:
         """Train until the steps are done or `should_stop` returns true, then save a checkpoint.

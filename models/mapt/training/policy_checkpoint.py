@@ -9,6 +9,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from mapt.errors import DamagedCheckpoint
+from mapt.policies.header import describe
 
 _LEARNER = "learner"
 _PROGRESS = "progress"
@@ -50,3 +51,19 @@ class PolicyCheckpoint:
             raise DamagedCheckpoint(repr(error)) from error
         context = {name.removeprefix(_CONTEXT): array for name, array in arrays.items() if name.startswith(_CONTEXT)}
         return cls(learner, context, run_state)
+
+
+def learner_of(content: bytes) -> bytes:
+    """The bytes of the learner in a checkpoint of a run, or in a file of `Learner.save`.
+
+    Raises:
+        DamagedCheckpoint: if they are neither.
+        NewerCheckpoint: if a later version of this library wrote them.
+    """
+    try:
+        describe(content)
+    except DamagedCheckpoint:
+        learner = PolicyCheckpoint.from_bytes(content).learner
+        describe(learner)
+        return learner
+    return content

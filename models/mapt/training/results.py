@@ -143,7 +143,10 @@ def grouped(runs: Sequence[RunResult]) -> list[Group]:
 
 
 def _shared(settings: RunSettings) -> tuple[tuple[str, str], ...]:
-    flat = settings.flat()
+    flat = {name: value for name, value in settings.flat().items() if name.partition(".")[0] != "initial_policy"}
+    initial = settings.initial_policy
+    # A name that fits into a legend; the hash tells policies of the same name apart.
+    flat["initial_policy"] = f"{'/'.join(Path(initial.path).parts[-3:-1])} ({initial.sha256[:8]})" if initial else None
     return tuple(sorted((name, str(value)) for name, value in flat.items() if name not in _PER_RUN))
 
 
@@ -212,10 +215,10 @@ class TeacherRow:
 
     group: Group
     seeds: list[int]
-    #: mean score of the segments
+    #: mean score of the segments of the policy before training, untrained or a stored one, and of the final policy
     untrained: list[float]
     final: list[float]
-    #: how often the teacher prefers a segment of the final policy to one of the untrained policy
+    #: how often the teacher prefers a segment of the final policy to one of the policy before training
     over_untrained: list[float]
     #: ... to one of the policy that trained on the true reward; empty without such a policy for every seed
     over_true_reward: list[float]
@@ -330,8 +333,8 @@ def _teacher_lines(groups: Sequence[Group]) -> list[str]:
                 "over seeds; a seed's value is the mean over the segments of its episodes. Preferred: how often the "
                 "teacher prefers a segment of the policy to one of the other policy.",
                 "",
-                "| algorithm | reward | seeds | untrained | score | std | preferred to the untrained policy | "
-                "preferred to the policy of the true reward | by seed |",
+                "| algorithm | reward | seeds | before training | score | std | preferred to that before training | "
+                "preferred to that of the true reward | by seed |",
                 "|---|---|---:|---:|---:|---:|---:|---:|---|",
                 *map(_teacher_line, rows),
                 "",

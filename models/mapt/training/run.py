@@ -25,7 +25,7 @@ from mapt.training.offline_run import OfflineRun
 from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.policy_trainer import PolicyTrainer, RunCallbacks
 from mapt.training.reward_source import LearnedReward, RewardFiles, RewardSource, TrueReward, save_version
-from mapt.training.run_folder import RunFolder
+from mapt.training.run_folder import RunFolder, read_initial
 from mapt.training.settings import ImitationSettings, PreferenceRewardSettings, RunSettings
 from mapt.training.video import record_video
 
@@ -156,6 +156,8 @@ class Run:
         stored = self._folder.last_checkpoint()
         if stored is None:
             stored, learner = PolicyCheckpoint(b"", {}), Learner(self._task, settings.policy, self._make_task)
+            if settings.initial_policy is not None:
+                learner.start_from(read_initial(settings.initial_policy))
             self._clone_first(learner)
         else:
             learner = Learner.from_bytes(stored.learner, self._task, self._make_task)

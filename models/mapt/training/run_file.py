@@ -62,6 +62,12 @@ class RunFile(Settings):
         setting("`algorithm`, and settings that differ from its defaults and the task's.", overrides=PolicyConfig),
     ] = field(default_factory=dict[str, Any])
     reward: RewardChoice = field(default_factory=RewardChoice)
+    initial_policy: Annotated[
+        str,
+        setting(
+            "Policy to start from: the folder of a run of the same task, or a checkpoint. Empty: an untrained policy."
+        ),
+    ] = ""
 
     def check(self) -> None:
         """Check the policy's settings, and that no seed is repeated. Raises InvalidConfig."""
@@ -72,10 +78,10 @@ class RunFile(Settings):
             raise InvalidConfig(f"seeds is {list(self.seeds)}; each must be 0 or more, without repeats.", "seeds")
         self.policy_config(self.seeds[0])
 
-    def policy_config(self, seed: int) -> PolicyConfig:
-        """The policy's settings of one run. Raises InvalidConfig."""
+    def policy_config(self, seed: int, initial: Mapping[str, object] | None = None) -> PolicyConfig:
+        """The policy's settings of one run; see `PolicyConfig.for_task`. Raises InvalidConfig."""
         spec = task_spec(self.task, agent_obsk=self.agent_obsk)
-        return PolicyConfig.for_task(spec, {**self.policy, "device": self.device, "seed": seed})
+        return PolicyConfig.for_task(spec, {**self.policy, "device": self.device, "seed": seed}, initial)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

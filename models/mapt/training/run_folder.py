@@ -1,6 +1,7 @@
 """The folder of a run: settings, checkpoint, metrics, evaluation, scores by teachers and video."""
 
 import fcntl
+import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,17 +12,18 @@ from typing import Any
 import torch
 
 from mapt.device import resolve_device
-from mapt.errors import DamagedCheckpoint, DamagedRun, InvalidConfig, RunBusy, RunMismatch, RunNotFound
+from mapt.errors import CheckpointMismatch, DamagedRun, InvalidConfig, RunBusy, RunMismatch, RunNotFound
 from mapt.io import atomic_write
 from mapt.policies import Policy, PolicyConfig
-from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack
+from mapt.policies.checkpoint import load_networks, refusing_mismatch, unflatten, unpack
+from mapt.policies.header import describe
 from mapt.policies.learner import make_policy
 from mapt.provenance import provenance
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
-from mapt.training.policy_checkpoint import PolicyCheckpoint
-from mapt.training.settings import ImitationSettings, RunSettings
+from mapt.training.policy_checkpoint import PolicyCheckpoint, learner_of
+from mapt.training.settings import ImitationSettings, InitialPolicy, RunSettings
 
 _PROVENANCE = "provenance"
 #: parts of run.json that are not settings of the run
@@ -182,14 +184,40 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
     return saved
 
 
+def initial_policy(path: Path) -> InitialPolicy:
+    """The policy of a run's folder or of a checkpoint file, to start a run from.
+
+    Raises:
+        RunNotFound: if there is no checkpoint.
+        CheckpointError: if the file is damaged or not a checkpoint.
+    """
+    file = path / CHECKPOINT_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise RunNotFound(path)
+    return InitialPolicy(str(file.resolve()), hashlib.sha256(learner_bytes(file)).hexdigest())
+
+
+def read_initial(policy: InitialPolicy) -> bytes:
+    """The bytes of the learner to start from.
+
+    Raises:
+        RunNotFound: if the file is gone.
+        CheckpointMismatch: if it has changed since the run was planned.
+    """
+    file = Path(policy.path)
+    if not file.is_file():
+        raise RunNotFound(file)
+    content = learner_bytes(file)
+    if hashlib.sha256(content).hexdigest() != policy.sha256:
+        raise CheckpointMismatch(
+            f"{file} has changed since this run was planned. Restore it, or choose another output."
+        )
+    return content
+
+
 def learner_bytes(file: Path) -> bytes:
     """The bytes of the learner in a checkpoint of a run, or in a file of `Learner.save`."""
-    content = file.read_bytes()
-    try:
-        describe(content)
-    except DamagedCheckpoint:
-        return PolicyCheckpoint.from_bytes(content).learner
-    return content
+    return learner_of(file.read_bytes())
 
 
 def policy_of(content: bytes, device: str, agent_obsk: int) -> SavedPolicy:
@@ -200,7 +228,6 @@ def policy_of(content: bytes, device: str, agent_obsk: int) -> SavedPolicy:
     policy = make_policy(task_spec(description.task, agent_obsk=agent_obsk), config).to(resolve_device(device))
     with refusing_mismatch():
         parts = unflatten(tensors)
-        for name, network in policy.named_children():
-            network.load_state_dict(parts[name])
+        load_networks(policy, parts)
         steps = int(parts["learner"]["steps"])
     return SavedPolicy(policy, description.task, agent_obsk, config.algorithm, steps)

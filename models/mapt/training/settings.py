@@ -136,6 +136,16 @@ class ImitationSettings:
         return cls(algorithm, data, imitation_config(algorithm, values["settings"]), pairs)
 
 
+@dataclass(frozen=True, slots=True)
+class InitialPolicy:
+    """A stored policy that a run starts from."""
+
+    #: absolute path of the checkpoint
+    path: str
+    #: of the learner in it
+    sha256: str
+
+
 Reward = LearnedRewardSettings | PreferenceRewardSettings | ImitationSettings
 
 
@@ -158,6 +168,8 @@ class RunSettings:
     agent_obsk: int = DEFAULT_AGENT_OBSK
     #: steps between evaluations; 0 evaluates at the end only
     evaluate_every_steps: int = 0
+    #: what the policy starts from; None for an untrained one
+    initial_policy: InitialPolicy | None = None
 
     def __post_init__(self) -> None:
         if self.steps < 1:
@@ -168,6 +180,8 @@ class RunSettings:
             )
         if isinstance(self.reward, ImitationSettings):
             check_policy(self.reward.algorithm, self.policy)
+        if self.initial_policy is not None and self.policy.restart_steps:
+            raise InvalidConfig("restart_steps must be 0 for a policy that starts from a stored one.", "restart_steps")
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values; `from_dict` reads them back."""
@@ -178,6 +192,7 @@ class RunSettings:
             "reward": asdict(self.reward) if self.reward else None,
             "agent_obsk": self.agent_obsk,
             "evaluate_every_steps": self.evaluate_every_steps,
+            "initial_policy": asdict(self.initial_policy) if self.initial_policy else None,
         }
 
     @classmethod
@@ -190,9 +205,13 @@ class RunSettings:
         values = dict(settings)
         try:
             policy, reward = values.pop("policy"), values.pop("reward")
-            if not isinstance(policy, Mapping) or not isinstance(reward, Mapping | None):
-                raise InvalidConfig("policy and reward must be objects with settings.")
-            return cls(policy=PolicyConfig.from_dict(policy), reward=_reward_of(reward), **values)  # pyright: ignore[reportArgumentType]
+            initial = values.pop("initial_policy", None)
+            if not isinstance(policy, Mapping) or not all(
+                isinstance(each, Mapping | None) for each in (reward, initial)
+            ):
+                raise InvalidConfig("policy, reward and initial_policy must be objects with settings.")
+            start = None if initial is None else InitialPolicy(**initial)  # pyright: ignore[reportCallIssue]
+            return cls(policy=PolicyConfig.from_dict(policy), reward=_reward_of(reward), initial_policy=start, **values)  # pyright: ignore[reportArgumentType]
         except (KeyError, TypeError) as error:
             raise InvalidConfig(f"These are not the settings of a run ({error}).") from error
 

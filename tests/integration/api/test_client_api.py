@@ -75,6 +75,64 @@ def test_models_are_downloaded_as_the_library_reads_them(api: ApiServer, client:
     assert [version.number for version in client.reward_versions(sample.experiment.id)] == [1]
 
 
+def test_an_experiment_starts_from_an_uploaded_policy(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    _, policy = store_models(api, sample.experiment.id)
+    file, checkpoint = tmp_path / "policy.safetensors", tmp_path / "checkpoint.safetensors"
+    file.write_bytes(policy)
+    checkpoint.write_bytes(PolicyCheckpoint(policy, {}, {"iteration": 1}).to_bytes())
+    uploaded = client.upload_policy(file)
+    assert client.upload_policy(checkpoint) == uploaded, "the same policy has the same id"
+    assert (uploaded.task, uploaded.policy["hidden"]) == (TASK, [8])
+    for number, source in enumerate((uploaded.id, sample.experiment.id)):
+        created = client.create_experiment(f"from {number}", TASK, initial_policy=source, policy={"n_envs": 2})
+        assert created.config["initial_policy"] == source
+        assert created.config["policy"]["hidden"] == [8], "its networks are those of the stored policy"
+        assert created.config["policy"]["n_envs"] == 2
+        client.download_policy(created.id, tmp_path / "again")
+        assert (tmp_path / "again").read_bytes() == policy
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"initial_policy": "exp_000000000000000000000000"}, "no experiment 'exp_0+' to take the policy of"),
+        ({"initial_policy": "pol_000000000000000000000000"}, "no such policy. Send it to POST /policies first"),
+        ({"initial_policy": "checkpoint.safetensors"}, "not a valid id"),
+        (
+            {"initial_policy": "UPLOADED", "policy": {"hidden": [16]}},
+            "hidden is .16., but the policy to start from has",
+        ),
+        ({"initial_policy": "UPLOADED", "policy": {"restart_steps": 9}}, "restart_steps is 9; .* must be 0"),
+        ({"initial_policy": "UPLOADED", "task": "HalfCheetah-2x3"}, "is of the task HalfCheetah-6x1, not of"),
+    ],
+)
+def test_a_policy_that_no_experiment_can_start_from_is_refused(
+    api: ApiServer, client: Client, tmp_path: Path, settings: dict, message: str
+) -> None:
+    _, policy = store_models(api, create_sample(api.stores.database, api.stores.blobs).experiment.id)
+    (tmp_path / "policy").write_bytes(policy)
+    uploaded = client.upload_policy(tmp_path / "policy")
+    if settings["initial_policy"] == "UPLOADED":
+        settings = settings | {"initial_policy": uploaded.id}
+    before = sorted(blob.key for blob in api.stores.blobs.stored())
+    with pytest.raises(Refused, match=message) as refused:
+        client.create_experiment("refused", **{"task": TASK, **settings})
+    assert refused.value.status == 422
+    assert sorted(blob.key for blob in api.stores.blobs.stored()) == before, "no copy is left"
+
+
+def test_a_file_that_is_no_policy_is_refused(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    _, policy = store_models(api, create_sample(api.stores.database, api.stores.blobs).experiment.id)
+    for content in (b"", b"something else", policy[:-1]):
+        (tmp_path / "policy").write_bytes(content)
+        with pytest.raises(Refused, match="The file is not a policy"):
+            client.upload_policy(tmp_path / "policy")
+    (tmp_path / "policy").write_bytes(policy)
+    with Client(api.url, api.tokens[Role.LABELLER]) as labeller, pytest.raises(Refused, match="upload policies"):
+        labeller.upload_policy(tmp_path / "policy")
+
+
 @pytest.mark.slow
 def test_a_reward_version_is_pushed_to_the_hub(api: ApiServer, client: Client, tmp_path: Path) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)

@@ -63,6 +63,7 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "POST /experiments/{experiment_id}/shares": RESEARCHERS,
     "DELETE /experiments/{experiment_id}/shares/{share_id}": RESEARCHERS,
     "POST /experiments/import": RESEARCHERS,
+    "POST /policies": RESEARCHERS,
     "GET /experiments/{experiment_id}/export": RESEARCHERS,
     "GET /experiments/{experiment_id}/reward-versions/{number}/weights": RESEARCHERS,
     "GET /experiments/{experiment_id}/reward-versions/{number}/card": RESEARCHERS,
@@ -132,7 +133,7 @@ BODIES: dict[str, dict[str, Any]] = {
 }
 PARAMETERS = {"DELETE /experiments/{experiment_id}": {"name": "one"}, "POST /experiments/import": {"name": "one"}}
 #: refused as invalid after the role is checked
-INVALID = {"POST /experiments", "POST /experiments/import"}
+INVALID = {"POST /experiments", "POST /experiments/import", "POST /policies"}
 
 
 def request(client: httpx.Client, operation: str, **ids: str) -> httpx.Response:

@@ -1,9 +1,10 @@
 import pytest
 
 from accord.domain.enums import ExperimentStatus
-from accord.services import experiments
+from accord.services import checkpoints, experiments
 from accord.workers.heartbeat import ClaimLost
 from accord.workers.model_store import read_reward_model
+from accord.workers.policy_run import CheckpointsUnreadable
 from accord.workers.policy_worker import PolicyWorker
 from integration.workers.worker_harness import STEPS_PER_ITERATION, SingleThreadedRewardWorker, WorkerHarness
 
@@ -110,6 +111,43 @@ def test_an_experiment_with_the_true_reward_stores_no_segments(harness: WorkerHa
     assert status_of(harness, id)[0] == "finished"
     assert harness.rows("SELECT count(*) FROM segments") == [(0,)]
     assert harness.curve(id, "true_reward_correlation")[STEPS_PER_ITERATION] == pytest.approx(1.0)
+
+
+def test_an_experiment_may_start_from_the_policy_of_another_one(harness: WorkerHarness):
+    first = harness.create_experiment("first", reward_source="true")
+    harness.train(first)
+    [(last_key,)] = harness.rows(
+        "SELECT blob_key FROM policy_checkpoints WHERE experiment_id = ? ORDER BY steps DESC LIMIT 1", first
+    )
+    id = harness.create_experiment("second", initial_policy=first)
+    [(key, steps, iteration)] = harness.rows(
+        "SELECT blob_key, steps, iteration FROM policy_checkpoints WHERE experiment_id = ?", id
+    )
+    assert (steps, iteration) == (0, 0)
+    stored = checkpoints.read_policy(harness.context.blobs, last_key)
+    # A copy: the second experiment does not need the first one any more.
+    assert key != last_key
+    assert checkpoints.read_policy(harness.context.blobs, key) == stored
+    with harness.training(id) as run:
+        run.step()
+    train_first_version(harness, id)
+    harness.train(id)
+    returns = [
+        harness.curve(each, name) for each, name in ((first, "true_return_final"), (id, "true_return_untrained"))
+    ]
+    # Both are of the same policy, from the same starts.
+    assert list(returns[0].values()) == list(returns[1].values())
+    assert harness.curve(id, "learned_return")
+
+
+def test_an_unreadable_initial_policy_stops_the_experiment(harness: WorkerHarness):
+    first = harness.create_experiment("first", reward_source="true")
+    harness.train(first)
+    id = harness.create_experiment("second", initial_policy=first)
+    [(key,)] = harness.rows("SELECT blob_key FROM policy_checkpoints WHERE experiment_id = ?", id)
+    (harness.home / "blobs" / key).write_bytes(b"damaged")
+    with pytest.raises(CheckpointsUnreadable), harness.training(id):
+        pass
 
 
 def test_a_paused_run_stops_between_iterations_and_can_be_resumed(harness: WorkerHarness):

@@ -2,13 +2,13 @@
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from accord.domain.enums import Role, WorkerRole
-from accord.services import accounts, experiments, label
+from accord.services import accounts, experiments, initial_policies, label
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
@@ -58,9 +58,15 @@ class WorkerHarness:
 
     def create_experiment(self, name: str = "tiny", **changes: Any) -> str:
         """Create a tiny experiment; `changes` override fields of its configuration. Returns its id."""
-        config = ExperimentConfig(**{**TINY, **changes})
-        with self.database.transaction() as session:
-            return experiments.create(session, self.teacher.id, name, config, None).id
+        config, blobs = ExperimentConfig(**{**TINY, **changes}), self.context.blobs
+        with ExitStack() as stack:
+            initial = None
+            if config.initial_policy:
+                with self.database.reading() as session:
+                    key = initial_policies.blob_key(session, config.initial_policy)
+                initial = stack.enter_context(initial_policies.copied(blobs, key))
+            session = stack.enter_context(self.database.transaction())
+            return experiments.create(session, self.teacher.id, name, config, None, initial=initial).id
 
     @contextmanager
     def training(self, id: str) -> Iterator[PolicyRun]:

@@ -137,6 +137,7 @@ def jobs_of(recorded, *models: str) -> list[CellJob]:
     return table_jobs(plan, {0: recorded})
 
 
+@pytest.mark.slow
 def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, recorded):
     (good,) = jobs_of(recorded, QUICK)
     bad = CellJob(replace(good.settings, teacher="nobody"), good.dataset)

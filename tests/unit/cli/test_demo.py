@@ -12,6 +12,7 @@ import pytest
 from matplotlib.image import imread
 from rich.console import Console
 
+import mapt
 from accord.api.schemas import Experiment
 from accord.cli.demo import demo, rows_of, score_table, table, write_results
 from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, check_plans, write_metrics
@@ -19,9 +20,10 @@ from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
 from accord.domain.errors import Invalid, InvalidExperiment, UnknownTask
 from mapt.errors import MissingArray
+from mapt.tasks import make_task
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
-from mapt.training.run_folder import RunFolder
+from mapt.training.run_folder import RunFolder, initial_policy
 from mapt.training.teacher_scores import TeacherScores
 
 STEPS = 1000
@@ -155,6 +157,27 @@ def test_another_setting_has_other_experiments(name: str, default: object, own: 
     check_plans([usual, other], TeacherChoice().teacher(0))
     settings = [each.settings(TeacherChoice()) for each in (usual, other)]
     assert settings[1].differences(settings[0]) == [f"reward.{name}: {own}, not {default}"]
+
+
+def test_runs_that_start_from_a_stored_policy_are_other_runs_with_its_networks(tmp_path: Path):
+    task = make_task("HalfCheetah-2x3", 1)
+    mapt.train_policy(task, steps=0, algorithm="mat", width=8, progress=False).save(tmp_path / "policy.safetensors")
+    task.close()
+    initial = initial_policy(tmp_path / "policy.safetensors")
+    usual, started = (
+        Grid("HalfCheetah-2x3", 1000, (0,), (50,), ("MAPT",), initial=given).plans("oracle")
+        for given in (None, initial)
+    )
+    names = [plan.name for plan in started]
+    assert all(f"seed 0 from policy {initial.sha256[:8]}" in name for name in names)
+    assert len({plan.name for plan in usual} | set(names)) == 4
+    settings = started[1].settings(TeacherChoice())
+    assert (settings.policy.algorithm, settings.policy.width, settings.initial_policy) == ("mat", 8, initial)
+    assert started[1].experiment_settings["initial_policy"] == f"pol_{initial.sha256[:24]}"
+    assert usual[1].differences(started[1].experiment_settings) == [
+        f"initial_policy is 'pol_{initial.sha256[:24]}', not ''"
+    ]
+    check_plans(started, TeacherChoice().teacher(0))
 
 
 def test_an_unknown_way_to_choose_pairs_is_refused_before_a_service_starts():

@@ -46,6 +46,13 @@ def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
         assert done.status == 0, done.errors
         assert f"policy's return {dataset.origin['policy_return']:,.0f}" in done.printed
         assert RunFolder(tmp_path / algorithm / "seed-0").read_evaluation(steps) is not None
+    cloned, improved = tmp_path / "bc" / "seed-0", tmp_path / "improved"
+    # Its networks are those of the cloned policy.
+    settings = [each.removeprefix("policy.") for each in POLICY[2:]]
+    improving = ("train", "--task", SHORTEST_NAME, "--steps", "32", "--initial-policy", cloned, "--output", improved)
+    done = mapt(*improving, *settings)
+    assert done.status == 0, done.errors
+    assert RunFolder(improved / "seed-0").settings().initial_policy is not None
     evaluated = mapt("evaluate", tmp_path / "omar" / "seed-0", "--episodes", "2", "--json")
     assert json.loads(evaluated.printed)["algorithm"] == "omar"
     compared = mapt("curves", tmp_path, "--output", tmp_path / "curves.png", "--table", tmp_path / "curves.md")

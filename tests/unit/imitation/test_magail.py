@@ -114,6 +114,7 @@ def test_rewards_belong_to_their_steps():
             assert_float32_close(found[step, env], expected.numpy())
 
 
+@pytest.mark.slow
 def test_a_policy_learns_what_was_demonstrated():
     """The true reward is not read; actions of zero have a return of 5.3 of 8."""
     learner = Learner(IdentityTask(8), POLICY)

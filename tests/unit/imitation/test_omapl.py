@@ -102,6 +102,7 @@ def test_the_teams_value_grows_with_every_agents_value():
     torch.testing.assert_close(mix(values, (weights, offset)), torch.stack(expected))
 
 
+@pytest.mark.slow
 def test_preferences_teach_a_policy_without_a_reward():
     """Random actions: their mean, which cloning finds, has a return of 5.3 of 8; the labels say which are better."""
     segments, pairs = random_pairs()

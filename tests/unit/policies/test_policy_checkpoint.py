@@ -108,3 +108,36 @@ def test_checkpoint_of_format_1_is_loaded() -> None:
     loaded = Learner.from_bytes(content, IdentityTask(4)).state_dict()
     assert loaded.keys() == expected.keys()
     assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.items())
+
+
+def test_a_new_learner_can_start_from_the_networks_of_a_checkpoint(learner: Learner) -> None:
+    started = Learner(IdentityTask(4), replace(CONFIG, seed=1, learning_rate=1e-4))
+    started.start_from(learner.to_bytes())
+    assert started.steps == 0
+    assert started.config.learning_rate == 1e-4
+    found, stored = started.state_dict(), learner.state_dict()
+    networks = [name for name in found if name.startswith(("actor.", "critic."))]
+    assert networks
+    assert all(torch.equal(found[name], stored[name]) for name in networks)
+    assert not any(torch.any(tensor) for name, tensor in found.items() if name.startswith("optimiser."))
+
+
+def test_values_of_a_policy_that_starts_from_a_checkpoint_are_rescaled_to_its_first_rewards(learner: Learner) -> None:
+    started = Learner(IdentityTask(4), CONFIG)
+    started.start_from(learner.to_bytes())
+    before = started.policy.critic.statistics.std.clone()
+    rollout = started.collect()
+    started.update(rollout, 100.0 * rollout.rewards)
+    assert torch.all(started.policy.critic.statistics.std > 10.0 * before)
+
+
+@pytest.mark.parametrize("change", [{"hidden": (9,)}, {"activation": "relu"}, {"algorithm": "happo"}])
+def test_a_learner_of_other_networks_cannot_start_from_a_checkpoint(learner: Learner, change: dict) -> None:
+    [name] = change
+    with pytest.raises(CheckpointMismatch, match=f"{name} is .* but the policy to start from has .* Leave {name} out"):
+        Learner(IdentityTask(4), replace(CONFIG, **change)).start_from(learner.to_bytes())
+
+
+def test_a_learner_of_another_task_cannot_start_from_a_checkpoint(learner: Learner) -> None:
+    with pytest.raises(CheckpointMismatch, match="of task Identity, not HalfCheetah-6x1"):
+        Learner(make_task("HalfCheetah-6x1", 4), CONFIG).start_from(learner.to_bytes())

@@ -176,6 +176,7 @@ def test_training_keeps_the_global_random_state():
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
+@pytest.mark.slow
 def test_members_disagree_more_on_segments_unlike_the_labelled_ones():
     ensemble = train_reward_ensemble(preferences(200), config("MA-MLP"), replace(QUICK, markov_epochs=20), 5)
     similar, shifted = (

@@ -10,7 +10,8 @@ from mapt.errors import InvalidConfig, RunMismatch
 from mapt.imitation.config import CloningConfig, ImitationConfig, MagailConfig, OMaplConfig, OmarConfig
 from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
-from mapt.tasks import task_spec
+from mapt.tasks import WrappedTask, make_task, task_spec
+from mapt.training import offline_run
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import read_metrics
 from mapt.training.offline_run import labelled_pairs
@@ -74,6 +75,31 @@ def test_a_run_writes_the_files_that_other_commands_read(imitation, tmp_path, al
     (group,) = grouped([found])
     assert (group.algorithm, group.labels) == (algorithm, 8 if algorithm == "o-mapl" else None)
     assert group.reward.endswith("data")
+
+
+def test_the_task_stays_open_until_the_last_checkpoint_which_holds_its_state(imitation, tmp_path, monkeypatch):
+    """Environments in processes, such as football's, have no state any more once they are closed."""
+
+    class ClosableTask(WrappedTask):
+        open = True
+
+        def snapshot(self):
+            assert self.open
+            return super().snapshot()
+
+        def close(self) -> None:
+            self.open = False
+            super().close()
+
+    opened: list[ClosableTask] = []
+
+    def make(*args, **settings) -> ClosableTask:
+        opened.append(ClosableTask(make_task(*args, **settings)))
+        return opened[-1]
+
+    monkeypatch.setattr(offline_run, "make_task", make)
+    train(imitation("bc", steps=10), tmp_path / "run")
+    assert [task.open for task in opened] == [False]
 
 
 def test_the_run_names_its_data_and_their_reward(imitation, tmp_path):

@@ -3,16 +3,17 @@
 import json
 
 import pytest
+import torch
 
-from mapt.errors import DamagedCheckpoint, ModelMismatch
+from mapt.errors import CheckpointMismatch, DamagedCheckpoint, InvalidConfig, ModelMismatch, RunNotFound
 from mapt.policies import Learner
 from mapt.policies.checkpoint import unpack
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import read_metrics
 from mapt.training.policy_trainer import RunCallbacks
 from mapt.training.run import Run, complete_run
-from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
-from mapt.training.settings import LearnedRewardSettings
+from mapt.training.run_folder import PolicyCheckpoint, RunFolder, initial_policy, learner_bytes, load_policy
+from mapt.training.settings import InitialPolicy, LearnedRewardSettings, RunSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 from support.training_runs import STEPS_PER_ITERATION, TIMINGS, reward_model, write_reward
 
@@ -175,6 +176,41 @@ def test_a_loaded_policy_repeats_the_stored_evaluation(settings, tmp_path, algor
     assert (saved.algorithm, saved.steps, saved.agent_obsk) == (algorithm, STEPS_PER_ITERATION, 0)
     again = evaluate_policy(saved.policy, saved.task, agent_obsk=0)
     assert again == folder.read_evaluation(STEPS_PER_ITERATION)
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "mat"])
+def test_a_run_may_start_from_the_policy_of_another_run(settings, tmp_path, algorithm):
+    networks = {"policy_algorithm": algorithm, "policy_width": 8}
+    first = train(settings(iterations=2, **networks), tmp_path / "first")
+    stored = unpack(learner_bytes(first.checkpoint), SHORTEST_NAME)[0]
+    run = settings(iterations=1, initial_policy=initial_policy(first.path), **networks)
+    assert RunSettings.from_dict(json.loads(json.dumps(run.to_dict()))) == run
+    folder = RunFolder(tmp_path / "second")
+    with folder.locked(), Run(run, folder, 0.0, RunCallbacks()) as started:
+        found = started.learner.state_dict()
+        assert started.steps == 0
+        networks = [name for name in stored if name.split(".")[0] not in ("optimiser", "collector", "learner")]
+        assert networks
+        assert all(torch.equal(found[name], stored[name]) for name in networks)
+    train(run, folder.path)
+    assert folder.read_evaluation(STEPS_PER_ITERATION) is not None
+    assert folder.settings().initial_policy == run.initial_policy
+
+
+def test_a_policy_that_changed_since_its_run_was_planned_is_refused(settings, tmp_path):
+    first = train(settings(iterations=1), tmp_path / "first")
+    run = settings(iterations=1, initial_policy=initial_policy(first.path))
+    train(settings(iterations=2), first.path)
+    with pytest.raises(CheckpointMismatch, match="has changed since this run was planned"):
+        train(run, tmp_path / "second")
+    first.checkpoint.unlink()
+    with pytest.raises(RunNotFound):
+        train(run, tmp_path / "second")
+
+
+def test_a_policy_that_starts_from_a_stored_one_cannot_start_anew(settings, tmp_path):
+    with pytest.raises(InvalidConfig, match="restart_steps must be 0"):
+        settings(policy_restart_steps=100, initial_policy=InitialPolicy("/policy", "0"))
 
 
 def test_a_run_that_fails_to_start_stores_no_settings(settings, tmp_path):

@@ -1,6 +1,7 @@
 """Experiments: start, list, read, change, end, archive and delete them; their metrics, reward versions and costs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -13,8 +14,9 @@ from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import access, audit, costs, deletion, experiments, metrics, publish, workers
+from accord.services import access, audit, costs, deletion, experiments, initial_policies, metrics, publish, workers
 from accord.services.experiment_config import read_config
+from accord.services.initial_policies import InitialPolicy
 from accord.services.training_memory import MemoryLimit
 from accord.services.validation import check_line
 from accord.store.tables import ExperimentRow
@@ -40,7 +42,10 @@ def create_experiment(
 ) -> schemas.Experiment:
     """Starts an experiment when a policy worker is free. For researchers and admins."""
     config, settings = read_config(body.settings), auth.app.settings
-    with auth.writing() as caller:
+    with (
+        _initial_policy(auth, config.initial_policy, body.name, idempotency_key) as initial,
+        auth.writing() as caller,
+    ):
         require(may_run_experiments(caller.role), caller.role, "start experiments")
         row = experiments.created_by(caller.session, caller.user.id, idempotency_key, body.name)
         if row is None:
@@ -52,9 +57,24 @@ def create_experiment(
                 body.instructions,
                 memory=MemoryLimit(settings.max_training_bytes, settings.reward_processes),
                 creation_key=idempotency_key,
+                initial=initial,
             )
             audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CREATED, row.id, name=row.name)
         return responses.experiment_response(caller.session, row, caller.role)
+
+
+@contextmanager
+def _initial_policy(auth: Auth, reference: str, name: str, key: str | None) -> Generator[InitialPolicy | None]:
+    """A copy of the policy to start from, for the block; None for an untrained one, or if the experiment exists."""
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, "start experiments")
+        exists = experiments.created_by(caller.session, caller.user.id, key, name) is not None
+        blob_key = initial_policies.blob_key(caller.session, reference) if reference and not exists else None
+    if blob_key is None:
+        yield None
+        return
+    with initial_policies.copied(auth.app.blobs, blob_key) as initial:
+        yield initial
 
 
 @router.get("/experiments", summary="List experiments")

@@ -1,4 +1,4 @@
-"""Uploads of exports and of files of other programs: `accord import` over REST."""
+"""Uploads: exports and files of other programs, as `accord import` reads them, and policies to start from."""
 
 import shutil
 import tempfile
@@ -17,7 +17,7 @@ from accord.api.dependencies import Auth, AuthDep, IdempotencyKey
 from accord.domain.enums import AuditAction
 from accord.domain.errors import BodyTooLarge, Invalid
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import audit, experiments, importing
+from accord.services import audit, experiments, importing, initial_policies
 from accord.services.importing import ImportFormat
 from accord.services.training_memory import MemoryLimit
 from mapt.errors import PreferenceError
@@ -25,6 +25,9 @@ from mapt.tasks.protocol import DEFAULT_SEGMENT_STEPS
 
 router = APIRouter(tags=["experiments"])
 PATH = "/experiments/import"
+POLICIES_PATH = "/policies"
+#: largest policy; it is read into memory
+MAX_POLICY_BYTES = 500_000_000
 _TABLES = frozenset({"segments.parquet", "queries.parquet", "labels.parquet"})
 #: files in an archive; a dataset has a few
 _MAX_FILES = 1000
@@ -79,6 +82,33 @@ async def import_experiment(  # noqa: PLR0917 (FastAPI passes them by name)
             raise Invalid("The upload was interrupted.") from error
         wanted = _Wanted(name, format, task, segment_steps, idempotency_key)
         return await run_sync(_import, auth, upload, wanted)
+
+
+@router.post(
+    POLICIES_PATH,
+    status_code=201,
+    openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": {}}}},
+    summary="Upload a policy",
+)
+async def upload_policy(request: Request, auth: AuthDep) -> schemas.UploadedPolicy:
+    """Stores a policy for experiments that start from it: `initial_policy` is the id that is returned.
+
+    The body is checkpoint.safetensors of a run of `mapt train` or `mapt imitate`, or a file of
+    `TrainedPolicy.save`. The same policy always gets the same id. `accord prune` deletes uploads; experiments that
+    started from them have a copy. For researchers and admins.
+    """
+    await run_sync(_check_may_upload, auth)
+    try:
+        content = await request.body()
+    except ClientDisconnect as error:
+        raise Invalid("The upload was interrupted.") from error
+    found = await run_sync(initial_policies.upload, auth.app.blobs, content)
+    return schemas.UploadedPolicy(id=found.id, task=found.about.task, policy=found.about.config)
+
+
+def _check_may_upload(auth: Auth) -> None:
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, "upload policies")
 
 
 @dataclass(frozen=True, slots=True)

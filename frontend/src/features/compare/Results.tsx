@@ -18,7 +18,7 @@ export function Results({ runs }: { runs: readonly Run[] }) {
     <section className="card" aria-labelledby="results-title">
       <h2 id="results-title">Results</h2>
       <p className="muted">
-        True return of whole episodes without exploration: untrained → final policy, mean ± standard deviation
+        True return of whole episodes without exploration: first → final policy, mean ± standard deviation
         over episodes.
       </p>
       <ScrollingTable label="Results of each experiment">

@@ -87,6 +87,13 @@ export function Controls({ experiment }: { experiment: Experiment }) {
       <Link to={paths.cloneExperiment(experiment.id)} className="button">
         Clone
       </Link>
+      <Link
+        to={paths.trainOn(experiment.id)}
+        className="button"
+        title="A new experiment that starts from this one's policy"
+      >
+        Train on
+      </Link>
       <button type="button" className="button" onClick={open("edit")}>
         Edit instructions
       </button>

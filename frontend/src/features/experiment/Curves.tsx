@@ -7,6 +7,7 @@ import { type Curve, curveOf, curvePerVersion, newestOf, withSmoothing } from "@
 import { Smoothing } from "@/shared/charts/Smoothing";
 import { formatCompact, formatDecimals, formatPercent, formatReturn, formatValue } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
+import { firstPolicy } from "@/shared/ui/returns";
 
 interface CurvesProps {
   experiment: Experiment;
@@ -143,9 +144,10 @@ function trainingText(curves: readonly Curve[]): string {
   return newest === null ? "No data yet" : `${formatValue(newest)} in the last rollout`;
 }
 
-function referencesOf({ returns }: Experiment): Reference[] {
+function referencesOf(experiment: Experiment): Reference[] {
+  const { returns } = experiment;
   const named = [
-    ["untrained", returns?.untrained],
+    [firstPolicy(experiment), returns?.untrained],
     ["final", returns?.final],
   ] as const;
   return named.flatMap(([name, found]) =>

@@ -2,7 +2,7 @@ import { versionMetric } from "@/shared/api/metrics";
 import type { Experiment, RewardVersion } from "@/shared/api/types";
 import { formatCompact, formatCount, formatDuration, formatSteps } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutDetail, heldOutText } from "@/shared/ui/heldOut";
-import { returnsDetail, returnsText } from "@/shared/ui/returns";
+import { firstPolicy, returnsDetail, returnsText } from "@/shared/ui/returns";
 import { estimateText, isOver, phaseText } from "@/shared/ui/status";
 
 interface OverviewProps {
@@ -16,13 +16,14 @@ export function Overview({ experiment, versions, connected }: OverviewProps) {
   const { labels, steps, config, returns } = experiment;
   const total = Number(config.total_steps);
   const learnsPreferences = config.reward_source !== "true";
+  const first = firstPolicy(experiment);
   return (
     <dl className="overview">
       {returns && (
         <Stat
-          name={returns.final ? "True return, untrained → final" : "True return, untrained"}
+          name={`True return, ${first}${returns.final ? " → final" : ""}`}
           value={returnsText(returns)}
-          note={returnsDetail(returns, isOver(experiment))}
+          note={returnsDetail(returns, isOver(experiment), first)}
           headline
         />
       )}

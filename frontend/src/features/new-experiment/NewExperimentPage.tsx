@@ -25,7 +25,8 @@ import "./form.css";
 /** The page on which a researcher starts an experiment. */
 export function NewExperimentPage({ me }: { me: Me }) {
   const tasks = useQuery(tasksQuery);
-  const from = new URLSearchParams(window.location.search).get("from");
+  const search = new URLSearchParams(window.location.search);
+  const from = search.get("from");
   const original = useQuery({
     ...experimentQuery(from ?? ""),
     enabled: from !== null,
@@ -42,20 +43,23 @@ export function NewExperimentPage({ me }: { me: Me }) {
   const error = tasks.error ?? original.error;
   if (error) return <Message title="Cannot open the form">{errorMessage(error)}</Message>;
   if (!tasks.data || (from && !original.data)) return null;
-  return <ExperimentForm tasks={tasks.data} original={original.data} />;
+  return <ExperimentForm tasks={tasks.data} original={original.data} policy={search.get("policy")} />;
 }
 
 interface ExperimentFormProps {
   tasks: Task[];
   /** the experiment to clone */
   original: Experiment | undefined;
+  /** id of the experiment whose policy it starts from */
+  policy: string | null;
 }
 
 /** The form. The server validates all settings; its errors are shown at the field they are about. */
-function ExperimentForm({ tasks, original }: ExperimentFormProps) {
-  const [values, setValues] = useState<FormValues>(() =>
-    original ? valuesOf(original) : { task: tasks[0]?.name ?? "" },
-  );
+function ExperimentForm({ tasks, original, policy }: ExperimentFormProps) {
+  const [values, setValues] = useState<FormValues>(() => ({
+    ...(original ? valuesOf(original) : { task: tasks[0]?.name ?? "" }),
+    ...(original && policy ? { name: `${original.name}, trained on`, initial_policy: policy } : {}),
+  }));
   const create = useMutation({
     mutationFn: (form: FormValues) => {
       const body = toRequest(form, FIELDS, original && hiddenPolicySettings(original));
@@ -85,8 +89,8 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
       <h1>New experiment</h1>
       {original && (
         <p className="muted">
-          With the settings of <Link to={paths.experiment(original.id)}>{original.name}</Link>. Its labels
-          stay with it.
+          With the settings{policy && " and from the policy"} of{" "}
+          <Link to={paths.experiment(original.id)}>{original.name}</Link>. Its labels stay with it.
         </p>
       )}
       <form onSubmit={submit} className="form">

@@ -5,6 +5,7 @@ import { canManageExperiments, type Experiment, type Me } from "@/shared/api/typ
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
+import { firstPolicy } from "@/shared/ui/returns";
 import { isOver } from "@/shared/ui/status";
 import { PolicyPair } from "./PolicyPair";
 import "./policies.css";
@@ -46,7 +47,8 @@ function reasonOf(experiment: Experiment, available: boolean): string {
   if (!available)
     return `There are no recordings of policies on ${experiment.task.name}: this task renders itself, so that stored states cannot be rendered later.`;
   if (isOver(experiment)) return "No policy of this experiment was recorded.";
+  const first = firstPolicy(experiment);
   return experiment.config.reward_source === "true"
-    ? "None yet. The untrained policy is recorded first, in a few seconds."
-    : "None yet. The untrained policy is recorded when the first reward version is ready.";
+    ? `None yet. The ${first} policy is recorded first, in a few seconds.`
+    : `None yet. The ${first} policy is recorded when the first reward version is ready.`;
 }

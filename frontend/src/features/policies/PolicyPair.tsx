@@ -68,7 +68,7 @@ export function PolicyPair({
             recordings={recordings}
             place={places[side]}
             longest={longest}
-            totalSteps={Number(experiment.config.total_steps)}
+            experiment={experiment}
             onChoose={(place) => choose(side, place)}
           />
         )}
@@ -85,15 +85,15 @@ interface VersionProps {
   recordings: readonly Recording[];
   place: number;
   longest: number;
-  totalSteps: number;
+  experiment: Experiment;
   onChoose: (place: number) => void;
 }
 
 /** The slider of one side, and what is known about its recording. */
-function Version({ side, recordings, place, longest, totalSteps, onChoose }: VersionProps) {
+function Version({ side, recordings, place, longest, experiment, onChoose }: VersionProps) {
   const recording = recordings[place];
   if (!recording) return null;
-  const name = nameOf(recording, totalSteps);
+  const name = nameOf(recording, experiment);
   return (
     <>
       {recordings.length > 1 && <ReturnCurve recordings={recordings} place={place} />}
@@ -150,7 +150,7 @@ function useShown(experiment: Experiment, recording: Recording | undefined, came
   const settled = useSettled(recording?.id ?? "");
   const view = useQuery({ ...recordingViewQuery(settled, camera), enabled: settled !== "" });
   if (!recording) return { name: "", clip: null };
-  const name = nameOf(recording, Number(experiment.config.total_steps));
+  const name = nameOf(recording, experiment);
   if (settled !== recording.id) return { name, clip: null, note: "Loading…" };
   if (view.error) return { name, clip: null, note: errorMessage(view.error) };
   if (view.data?.status === "failed") return { name, clip: null, note: "This recording cannot be rendered." };

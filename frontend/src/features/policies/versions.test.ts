@@ -12,18 +12,24 @@ const recording = (id: string, policy_steps: number, reward_version: number | nu
   rendered: [],
   created_at: "2026-01-01T00:00:00Z",
 });
+const experiment = { config: { total_steps: 5000 } };
 const recordings = [recording("a", 0, null), recording("b", 2000, 1), recording("c", 5000, 2)];
 
 test("recordings are named by the reward version that the policy learned from", () => {
-  expect(recordings.map((each) => nameOf(each, 5000))).toEqual([
+  expect(recordings.map((each) => nameOf(each, experiment))).toEqual([
     "Untrained",
     "Version 1",
     "Version 2, final",
   ]);
 });
 
+test("a policy that starts from a stored one is not called untrained", () => {
+  const started = { config: { ...experiment.config, initial_policy: "exp_0" } };
+  expect(nameOf(recording("a", 0, null), started)).toBe("Initial");
+});
+
 test("without reward versions, recordings are named by steps", () => {
-  expect([0, 2000, 5000].map((steps) => nameOf(recording("a", steps, null), 5000))).toEqual([
+  expect([0, 2000, 5000].map((steps) => nameOf(recording("a", steps, null), experiment))).toEqual([
     "Untrained",
     "After 2K steps",
     "Final",

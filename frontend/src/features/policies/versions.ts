@@ -1,9 +1,13 @@
-import type { Recording } from "@/shared/api/types";
+import type { Experiment, Recording } from "@/shared/api/types";
 import { formatCompact } from "@/shared/ui/format";
+import { firstPolicy } from "@/shared/ui/returns";
 
-/** What a recording shows: "Untrained", "Version 3", or "Version 3, final". */
-export function nameOf({ policy_steps, reward_version }: Recording, totalSteps: number): string {
-  if (policy_steps === 0) return "Untrained";
+type WithSettings = Pick<Experiment, "config">;
+
+/** What a recording shows: "Untrained", "Initial", "Version 3", or "Version 3, final". */
+export function nameOf({ policy_steps, reward_version }: Recording, { config }: WithSettings): string {
+  const totalSteps = Number(config.total_steps);
+  if (policy_steps === 0) return firstPolicy({ config }) === "initial" ? "Initial" : "Untrained";
   const isFinal = policy_steps >= totalSteps;
   if (reward_version === null) return isFinal ? "Final" : `After ${formatCompact(policy_steps)} steps`;
   return isFinal ? `Version ${reward_version}, final` : `Version ${reward_version}`;

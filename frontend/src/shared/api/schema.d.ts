@@ -953,6 +953,30 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/policies": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Upload a policy
+         * @description Stores a policy for experiments that start from it: `initial_policy` is the id that is returned.
+         *
+         *     The body is checkpoint.safetensors of a run of `mapt train` or `mapt imitate`, or a file of
+         *     `TrainedPolicy.save`. The same policy always gets the same id. `accord prune` deletes uploads; experiments that
+         *     started from them have a copy. For researchers and admins.
+         */
+        post: operations["upload_policy"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/shares": {
         parameters: {
             query?: never;
@@ -3286,6 +3310,11 @@ export interface components {
                 device: string;
             };
             /**
+             * @description What the policy starts from: the id of an experiment on the same task, for its newest policy, or of an uploaded policy. The networks are those of the stored policy. Empty: an untrained policy.
+             * @default
+             */
+            initial_policy: string;
+            /**
              * @description Where the networks run: auto uses CUDA if there is any; otherwise cpu, or a device of torch such as cuda:1. With a list such as cuda:0,cuda:1, parallel workers take turns.
              * @default auto
              */
@@ -4407,6 +4436,29 @@ export interface components {
              * @description Whether this request was sent with it.
              */
             current: boolean;
+        };
+        /**
+         * UploadedPolicy
+         * @description A policy that experiments can start from.
+         */
+        UploadedPolicy: {
+            /**
+             * Id
+             * @description For the setting `initial_policy` of new experiments.
+             */
+            id: string;
+            /**
+             * Task
+             * @description The task that it acts in.
+             */
+            task: string;
+            /**
+             * Policy
+             * @description Settings of its training, with those of its networks.
+             */
+            policy: {
+                [key: string]: unknown;
+            };
         };
         /**
          * UserAccount
@@ -6521,6 +6573,39 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    upload_policy: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/octet-stream": unknown;
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UploadedPolicy"];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

@@ -3,6 +3,7 @@ export const paths = {
   experiments: () => "/",
   newExperiment: () => "/experiments/new",
   cloneExperiment: (id: string) => `/experiments/new?from=${encodeURIComponent(id)}`,
+  trainOn: (id: string) => `/experiments/new?from=${encodeURIComponent(id)}&policy=${encodeURIComponent(id)}`,
   compare: (ids: readonly string[]) => `/compare/${ids.map(encodeURIComponent).join(",")}`,
   experiment: (id: string) => `/experiments/${encodeURIComponent(id)}`,
   label: (id: string) => `/experiments/${encodeURIComponent(id)}/label`,

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { returnsDetail, returnsText } from "./returns";
+import { firstPolicy, returnsDetail, returnsText } from "./returns";
 
 const untrained = { mean: -205.2, std: 11.5, min: -230.1, max: -190 };
 const final = { mean: 375.4, std: 20.3, min: 301, max: 420 };
@@ -14,4 +14,11 @@ test("before the end there is no result", () => {
   expect(returnsDetail({ untrained, final: null }, false)).toContain("from −230 to −190");
   expect(returnsText({ untrained: null, final: null })).toBe("Not measured yet");
   expect(returnsText({ untrained: null, final: { ...final, std: null } })).toBe("? → 375");
+});
+
+test("a policy that starts from a stored one is not called untrained", () => {
+  expect(firstPolicy({ config: { initial_policy: "" } })).toBe("untrained");
+  expect(firstPolicy({ config: {} })).toBe("untrained");
+  const first = firstPolicy({ config: { initial_policy: "exp_0" } });
+  expect(returnsDetail({ untrained: null, final: null }, false, first)).toContain("The initial policy");
 });

@@ -3,17 +3,22 @@ import { formatReturn } from "./format";
 
 type Returns = NonNullable<Experiment["returns"]>;
 
-/** True return of the untrained and the trained policy: "−205 → 375 ± 20". */
+/** What the policy of an experiment is before its training. */
+export function firstPolicy({ config }: Pick<Experiment, "config">): "initial" | "untrained" {
+  return config.initial_policy ? "initial" : "untrained";
+}
+
+/** True return of the first and the trained policy: "−205 → 375 ± 20". */
 export function returnsText({ untrained, final }: Returns): string {
   const before = untrained ? formatReturn(untrained.mean) : "?";
   if (!final) return untrained ? before : "Not measured yet";
   return `${before} → ${formatReturn(final.mean)}${final.std === null ? "" : ` ± ${formatReturn(final.std)}`}`;
 }
 
-/** What the numbers of `returnsText` are. `over`: whether the experiment has ended. */
-export function returnsDetail({ untrained, final }: Returns, over: boolean): string {
+/** What the numbers of `returnsText` are. `over`: whether the experiment has ended; `first`: as `firstPolicy`. */
+export function returnsDetail({ untrained, final }: Returns, over: boolean, first = "untrained"): string {
   const shown = final ?? untrained;
-  if (!shown) return over ? "" : "The untrained policy is measured before the first update.";
+  if (!shown) return over ? "" : `The ${first} policy is measured before the first update.`;
   const range =
     shown.min === null || shown.max === null
       ? ""

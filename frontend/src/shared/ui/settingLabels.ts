@@ -2,6 +2,7 @@
 const LABELS: Readonly<Record<string, string>> = {
   instructions: "Instructions for labellers",
   total_steps: "Training steps",
+  initial_policy: "Policy to start from",
   label_budget: "Label budget",
   initial_labels: "Labels before the first reward model",
   last_label_at: "Share of the run at the last label",
