@@ -196,6 +196,27 @@ def test_a_researcher_edits_clones_archives_and_deletes_an_experiment(
     assert service.rows("select id from experiments where id = ?", experiment) == []
 
 
+def test_a_researcher_trains_the_policy_of_an_experiment_on(
+    service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    first = new_experiment("First", reward_source="true", label_budget=0, total_steps=1600)
+    with service.api(researcher) as api:
+        until(lambda: api.get(f"/experiments/{first}").json()["status"] == "finished")
+    page = sign_in("Rosa", "researcher")
+    page.goto(f"{service.url}/experiments/{first}")
+    expect(page.get_by_text("True return, untrained → final")).to_be_visible()
+    page.get_by_role("link", name="Train on").click()
+    expect(page.get_by_label("Name", exact=True)).to_have_value("First, trained on")
+    expect(page.get_by_label("Policy to start from")).to_have_value(first)
+    page.get_by_label("Policy to start from").fill("pol_000000000000000000000000")
+    page.get_by_role("button", name="Start").click()
+    expect(page.get_by_role("alert")).to_contain_text("There is no such policy")
+    page.get_by_label("Policy to start from").fill(first)
+    page.get_by_role("button", name="Start").click()
+    expect(page.get_by_role("heading", name="First, trained on")).to_be_visible()
+    expect(page.get_by_text("True return, initial → final")).to_be_visible()
+
+
 def test_an_unknown_experiment_and_an_unknown_page_show_an_error(service: Service, sign_in: SignIn) -> None:
     page = sign_in("Lena")
     page.goto(f"{service.url}/experiments/exp_000000000000000000000000/label")

@@ -12,7 +12,7 @@ import type { Run } from "./runs";
 export function Results({ runs }: { runs: readonly Run[] }) {
   // A teacher sees returns but no costs.
   const costs = useQueries({
-    queries: runs.map(({ experiment }) => ({ ...costsQuery(experiment.id), retry: false })),
+    queries: runs.map(({ experiment }) => ({ ...costsQuery(experiment), retry: false })),
   });
   return (
     <section className="card" aria-labelledby="results-title">

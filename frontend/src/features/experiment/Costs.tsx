@@ -1,4 +1,4 @@
-import { useQuery } from "@tanstack/react-query";
+import { keepPreviousData, useQuery } from "@tanstack/react-query";
 import { costsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { formatCount, formatDuration, plural } from "@/shared/ui/format";
@@ -9,7 +9,8 @@ const BYTES_PER_MB = 1e6;
 /** What the experiment has cost so far: people's time, machine time and storage. */
 export function Costs({ experiment }: { experiment: Experiment }) {
   const { data: costs } = useQuery({
-    ...costsQuery(experiment.id),
+    ...costsQuery(experiment),
+    placeholderData: keepPreviousData,
     refetchInterval: experiment.status === "running" ? 15_000 : false,
   });
   if (!costs) return null;

@@ -19,7 +19,7 @@ export function DeleteExperiment({ experiment, onError, onClose }: DeleteExperim
   const id = useId();
   const cache = useQueryClient();
   const [typed, setTyped] = useState("");
-  const { data: costs } = useQuery(costsQuery(experiment.id));
+  const { data: costs } = useQuery(costsQuery(experiment));
   const remove = useMutation({
     mutationFn: () =>
       unwrap(

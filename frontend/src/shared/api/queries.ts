@@ -3,7 +3,7 @@ import { api, unwrap } from "./client";
 import { ServerUnreachable, toApiError } from "./errors";
 import { CURVE_POINTS } from "./metrics";
 import type { operations } from "./schema";
-import type { Credit, QueryPage, RecordingCamera, RewardReport } from "./types";
+import type { Credit, Experiment, QueryPage, RecordingCamera, RewardReport } from "./types";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 const curvesOf = (id: string) => ({
@@ -76,9 +76,10 @@ export const sharedQuery = (token: string) =>
     refetchInterval: 10_000,
   });
 
-export const costsQuery = (id: string) =>
+export const costsQuery = ({ id, status }: Pick<Experiment, "id" | "status">) =>
   queryOptions({
-    queryKey: ["costs", id],
+    // With the status, so that what it cost in all is read when it ends.
+    queryKey: ["costs", id, status],
     queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/costs", byExperiment(id))),
   });
 

@@ -1,5 +1,6 @@
 import type { RefObject } from "react";
 import type uPlot from "uplot";
+import { withoutTrailingZeros } from "@/shared/ui/format";
 import type { ChartEvents, ChartState } from "./chartProps";
 import type { Curve } from "./curves";
 import { drawIntervals, drawMarkers, drawReferences } from "./drawing";
@@ -54,7 +55,7 @@ export function chartOptions(
         ...axis,
         ...(integers && { incrs: INTEGER_INCREMENTS }),
         size: 54,
-        values: (_, ticks) => ticks.map(latest.current.format),
+        values: (_, ticks) => ticks.map((tick) => withoutTrailingZeros(latest.current.format(tick))),
       },
     ],
     series: [{}, ...curves.map((curve, index) => seriesOf(latest, curve, index, style))],

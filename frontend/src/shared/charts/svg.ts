@@ -1,3 +1,4 @@
+import { withoutTrailingZeros } from "@/shared/ui/format";
 import type { ChartState } from "./chartProps";
 import type { Curve } from "./curves";
 
@@ -31,7 +32,7 @@ export function svgOf(state: ChartState, { x, y }: Ranges): string {
     text(MARGIN.left, 22, title, 'font-size="16" font-weight="600"'),
     ...ticks(y).flatMap((value) => [
       line(MARGIN.left, atY(value), right, atY(value), `stroke="${GRID}"`),
-      text(MARGIN.left - 8, atY(value) + 4, format(value), 'text-anchor="end"'),
+      text(MARGIN.left - 8, atY(value) + 4, withoutTrailingZeros(format(value)), 'text-anchor="end"'),
     ]),
     ...ticks(x).map((value) => text(atX(value), bottom + 18, formatX(value), 'text-anchor="middle"')),
     text((MARGIN.left + right) / 2, bottom + 38, xLabel, 'text-anchor="middle"'),

@@ -1,5 +1,12 @@
 import { expect, test } from "vitest";
-import { formatDuration, formatReturn, formatSteps, formatValue, plural } from "./format";
+import {
+  formatDuration,
+  formatReturn,
+  formatSteps,
+  formatValue,
+  plural,
+  withoutTrailingZeros,
+} from "./format";
 
 test("values are formatted with about three significant digits", () => {
   expect([0, 0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0", "0.841", "12.3", "123", "45K"]);
@@ -7,6 +14,23 @@ test("values are formatted with about three significant digits", () => {
   expect([-3.456, -205.2].map(formatReturn)).toEqual(["−3.46", "−205"]);
   expect(plural(1, "label")).toBe("1 label");
   expect(plural(1200, "label")).toBe("1,200 labels");
+});
+
+test("numbers of an axis have no zeros after their last decimal", () => {
+  const shown = ["5.000", "10.0", "−2.500", "0.050", "0", "100", "1,200", "45K", "1.5K", "1.50 m", "20%"];
+  expect(shown.map(withoutTrailingZeros)).toEqual([
+    "5",
+    "10",
+    "−2.5",
+    "0.05",
+    "0",
+    "100",
+    "1,200",
+    "45K",
+    "1.5K",
+    "1.5 m",
+    "20%",
+  ]);
 });
 
 test("durations have one unit", () => {

@@ -23,6 +23,11 @@ export function formatValue(value: number): string {
   return formatDecimals(value, size >= 100 ? 0 : size >= 10 ? 1 : 3);
 }
 
+/** A formatted number without zeros at its end, for an axis: beside “10”, “5.000” would read as five thousand. */
+export function withoutTrailingZeros(text: string): string {
+  return text.replace(/(\.\d*?)0+(?=\D*$)/, "$1").replace(/\.(?=\D*$)/, "");
+}
+
 /** A return, with no more digits than its size allows to tell apart. */
 export function formatReturn(value: number): string {
   return Math.abs(value) < 10 ? formatDecimals(value, 2) : formatValue(value);
