@@ -166,6 +166,7 @@ class PolicyRun:
         for row in rows:
             try:
                 if row.iteration == 0:
+                    # Before the first iteration there is only the policy that the experiment starts from.
                     learner = Learner(task, settings, make)
                     read_initial_policy(self._context.blobs, row.blob_key, learner)
                     return PolicyTrainer(learner, self._reward_source(settings.n_envs, None, {}))
