@@ -612,9 +612,9 @@ class Recording(Schema):
     """The first steps of an episode of the policy, with mean actions."""
 
     id: str = Field(description="rec_...")
-    policy_steps: int = Field(description="Environment steps the policy was trained for; 0 for the untrained policy.")
+    policy_steps: int = Field(description="Environment steps the policy was trained for; 0 before its training.")
     reward_version: int | None = Field(
-        description="Number of the reward version of its last update; null for the untrained policy, and where the "
+        description="Number of the reward version of its last update; null before its training, and where the "
         "policy learns from the true reward."
     )
     frames: int = Field(description="Frames of the video, one per step.")

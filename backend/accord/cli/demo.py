@@ -55,7 +55,7 @@ from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
 from mapt.training.results import RunResult, find_runs, grouped, markdown
-from mapt.training.run_folder import initial_policy as stored_policy
+from mapt.training.run_folder import stored_policy
 from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 from mapt.training.teacher_scores import TeacherScores, preference_rate
 

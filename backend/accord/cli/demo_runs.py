@@ -23,13 +23,12 @@ from mapt.cli.output import print_error
 from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import PolicyConfig
-from mapt.policies.header import describe
 from mapt.policies.learner import untrained_policy
 from mapt.preferences.teachers import ScriptedTeacher
 from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
-from mapt.training.run_folder import RunFolder, load_policy, policy_of, read_initial
+from mapt.training.run_folder import RunFolder, initial_settings, load_policy, policy_of, read_initial
 from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
 from mapt.training.settings import InitialPolicy, PreferenceRewardSettings, RunSettings
 from mapt.training.teacher_scores import TeacherScores, read_teacher_scores, score_policy, write_teacher_scores
@@ -132,7 +131,7 @@ class RunPlan:
             self.label_schedule,
             self.last_label_at,
         )
-        stored = None if self.initial is None else describe(read_initial(self.initial)).config
+        stored = None if self.initial is None else initial_settings(self.initial, self.task)
         return RunSettings(
             task=self.task,
             policy=PolicyConfig.for_task(task_spec(self.task), {"seed": self.seed, **self.policy}, stored),

@@ -489,7 +489,7 @@ class RecordingRow(Base):
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
     #: environment steps the policy was trained for
     policy_steps: Mapped[int]
-    #: the reward version of its last update; None if it is untrained, or learns from the true reward
+    #: the reward version of its last update; None before its training, or if it learns from the true reward
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"))
     #: T; less than that of other recordings if the episode terminated
     length_steps: Mapped[int]

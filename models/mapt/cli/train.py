@@ -28,8 +28,7 @@ from mapt.cli.options import (
 from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.cluster import JobPool
 from mapt.device import resolve_device
-from mapt.errors import CheckpointMismatch, InvalidConfig
-from mapt.policies.header import describe
+from mapt.errors import InvalidConfig
 from mapt.processes import JobResult, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
@@ -41,9 +40,8 @@ from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
 from mapt.training.run_file import RewardChoice, RunFile, Sweep, cells, merged, read_toml, share
-from mapt.training.run_folder import initial_policy as stored_policy
-from mapt.training.run_folder import read_initial
-from mapt.training.settings import TRUE, InitialPolicy, LearnedRewardSettings, RunSettings
+from mapt.training.run_folder import initial_settings, stored_policy
+from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
 
 _STATUS_STOPPED = 130
 _STATUS_FAILED = 2
@@ -202,10 +200,10 @@ def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
 
 
 def _runs(file: RunFile) -> list[RunSettings]:
-    """A run for each seed. Raises as `_learned_reward` and `initial_policy`."""
+    """A run for each seed. Raises as `_learned_reward`, `stored_policy` and `initial_settings`."""
     learned = None if file.reward.path == TRUE else _learned_reward(file.reward)
     initial = stored_policy(Path(file.initial_policy)) if file.initial_policy else None
-    config = None if initial is None else _config_of(initial, file.task)
+    config = None if initial is None else initial_settings(initial, file.task)
     return [
         RunSettings(
             task=file.task,
@@ -218,14 +216,6 @@ def _runs(file: RunFile) -> list[RunSettings]:
         )
         for seed in file.seeds
     ]
-
-
-def _config_of(initial: InitialPolicy, task: str) -> dict[str, object]:
-    """The settings of the stored policy. Raises CheckpointMismatch if it is of another task."""
-    found = describe(read_initial(initial))
-    if found.task != task:
-        raise CheckpointMismatch(f"The policy in {initial.path} is of task {found.task}, not {task}.")
-    return found.config
 
 
 def _learned_reward(choice: RewardChoice) -> LearnedRewardSettings:

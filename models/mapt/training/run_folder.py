@@ -170,9 +170,7 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
         RunNotFound: if there is no checkpoint.
         CheckpointError: if the file is damaged, not a checkpoint, or for other observations.
     """
-    file = path / CHECKPOINT_FILE if path.is_dir() else path
-    if not file.is_file():
-        raise RunNotFound(path)
+    file = _checkpoint_file(path)
     settings = RunFolder(file.parent).settings() if (file.parent / RUN_FILE).exists() else None
     if agent_obsk is None:
         agent_obsk = settings.agent_obsk if settings else DEFAULT_AGENT_OBSK
@@ -184,16 +182,22 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
     return saved
 
 
-def initial_policy(path: Path) -> InitialPolicy:
+def _checkpoint_file(path: Path) -> Path:
+    """The checkpoint in a run's folder, or the file itself. Raises RunNotFound if there is none."""
+    file = path / CHECKPOINT_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise RunNotFound(path)
+    return file
+
+
+def stored_policy(path: Path) -> InitialPolicy:
     """The policy of a run's folder or of a checkpoint file, to start a run from.
 
     Raises:
         RunNotFound: if there is no checkpoint.
         CheckpointError: if the file is damaged or not a checkpoint.
     """
-    file = path / CHECKPOINT_FILE if path.is_dir() else path
-    if not file.is_file():
-        raise RunNotFound(path)
+    file = _checkpoint_file(path)
     return InitialPolicy(str(file.resolve()), hashlib.sha256(learner_bytes(file)).hexdigest())
 
 
@@ -204,15 +208,25 @@ def read_initial(policy: InitialPolicy) -> bytes:
         RunNotFound: if the file is gone.
         CheckpointMismatch: if it has changed since the run was planned.
     """
-    file = Path(policy.path)
-    if not file.is_file():
-        raise RunNotFound(file)
+    file = _checkpoint_file(Path(policy.path))
     content = learner_bytes(file)
     if hashlib.sha256(content).hexdigest() != policy.sha256:
         raise CheckpointMismatch(
             f"{file} has changed since this run was planned. Restore it, or choose another output."
         )
     return content
+
+
+def initial_settings(policy: InitialPolicy, task: str) -> dict[str, object]:
+    """The settings of a policy to start from, as `PolicyConfig.for_task` takes them.
+
+    Raises:
+        CheckpointMismatch: if it is of another task. Also as `read_initial`.
+    """
+    found = describe(read_initial(policy))
+    if found.task != task:
+        raise CheckpointMismatch(f"The policy in {policy.path} is of task {found.task}, not {task}.")
+    return found.config
 
 
 def learner_bytes(file: Path) -> bytes:

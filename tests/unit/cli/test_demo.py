@@ -23,7 +23,7 @@ from mapt.errors import MissingArray
 from mapt.tasks import make_task
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
-from mapt.training.run_folder import RunFolder, initial_policy
+from mapt.training.run_folder import RunFolder, stored_policy
 from mapt.training.teacher_scores import TeacherScores
 
 STEPS = 1000
@@ -163,7 +163,7 @@ def test_runs_that_start_from_a_stored_policy_are_other_runs_with_its_networks(t
     task = make_task("HalfCheetah-2x3", 1)
     mapt.train_policy(task, steps=0, algorithm="mat", width=8, progress=False).save(tmp_path / "policy.safetensors")
     task.close()
-    initial = initial_policy(tmp_path / "policy.safetensors")
+    initial = stored_policy(tmp_path / "policy.safetensors")
     usual, started = (
         Grid("HalfCheetah-2x3", 1000, (0,), (50,), ("MAPT",), initial=given).plans("oracle")
         for given in (None, initial)

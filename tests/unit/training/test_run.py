@@ -12,7 +12,7 @@ from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import read_metrics
 from mapt.training.policy_trainer import RunCallbacks
 from mapt.training.run import Run, complete_run
-from mapt.training.run_folder import PolicyCheckpoint, RunFolder, initial_policy, learner_bytes, load_policy
+from mapt.training.run_folder import PolicyCheckpoint, RunFolder, learner_bytes, load_policy, stored_policy
 from mapt.training.settings import InitialPolicy, LearnedRewardSettings, RunSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 from support.training_runs import STEPS_PER_ITERATION, TIMINGS, reward_model, write_reward
@@ -183,7 +183,7 @@ def test_a_run_may_start_from_the_policy_of_another_run(settings, tmp_path, algo
     networks = {"policy_algorithm": algorithm, "policy_width": 8}
     first = train(settings(iterations=2, **networks), tmp_path / "first")
     stored = unpack(learner_bytes(first.checkpoint), SHORTEST_NAME)[0]
-    run = settings(iterations=1, initial_policy=initial_policy(first.path), **networks)
+    run = settings(iterations=1, initial_policy=stored_policy(first.path), **networks)
     assert RunSettings.from_dict(json.loads(json.dumps(run.to_dict()))) == run
     folder = RunFolder(tmp_path / "second")
     with folder.locked(), Run(run, folder, 0.0, RunCallbacks()) as started:
@@ -199,7 +199,7 @@ def test_a_run_may_start_from_the_policy_of_another_run(settings, tmp_path, algo
 
 def test_a_policy_that_changed_since_its_run_was_planned_is_refused(settings, tmp_path):
     first = train(settings(iterations=1), tmp_path / "first")
-    run = settings(iterations=1, initial_policy=initial_policy(first.path))
+    run = settings(iterations=1, initial_policy=stored_policy(first.path))
     train(settings(iterations=2), first.path)
     with pytest.raises(CheckpointMismatch, match="has changed since this run was planned"):
         train(run, tmp_path / "second")

@@ -19,7 +19,7 @@ CameraPath = Annotated[RecordingCamera, Path(description="Where the camera is: f
 
 @router.get("/experiments/{experiment_id}/recordings", summary="List recordings of the policy")
 def list_recordings(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Recordings:
-    """Returns a recording of the untrained policy, one of each reward version that it learned from, and one at the end.
+    """Returns recordings of the policy: before training, of each reward version that it learned from, and at the end.
 
     That of the newest version is made at the policy's next checkpoint, at the latest when the policy waits for labels,
     and again when the version is replaced. All begin in the same state.

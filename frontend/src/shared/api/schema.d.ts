@@ -789,7 +789,7 @@ export interface paths {
         };
         /**
          * List recordings of the policy
-         * @description Returns a recording of the untrained policy, one of each reward version that it learned from, and one at the end.
+         * @description Returns recordings of the policy: before training, of each reward version that it learned from, and at the end.
          *
          *     That of the newest version is made at the policy's next checkpoint, at the latest when the policy waits for labels,
          *     and again when the version is replaced. All begin in the same state.
@@ -3963,12 +3963,12 @@ export interface components {
             id: string;
             /**
              * Policy Steps
-             * @description Environment steps the policy was trained for; 0 for the untrained policy.
+             * @description Environment steps the policy was trained for; 0 before its training.
              */
             policy_steps: number;
             /**
              * Reward Version
-             * @description Number of the reward version of its last update; null for the untrained policy, and where the policy learns from the true reward.
+             * @description Number of the reward version of its last update; null before its training, and where the policy learns from the true reward.
              */
             reward_version: number | null;
             /**
