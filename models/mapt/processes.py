@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from multiprocessing.util import Finalize
 from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TypeVar
@@ -34,6 +35,8 @@ _WORKER_ENVIRONMENT = SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 _SPAWN = multiprocessing.get_context("spawn")
 #: time that a process has to end before it is killed
 _END_SECONDS = 10.0
+#: time that a worker has from SIGTERM to its end, in which its parent may still use it
+_GRACE_SECONDS = 30
 #: interval at which `run_jobs` calls `should_stop`
 _POLL_SECONDS = 0.2
 _PR_SET_PDEATHSIG = 1
@@ -303,6 +306,8 @@ def _start(do_job: Callable[[J, ParentConnection], Any], slot: int) -> _Worker[J
     with _environment({**_WORKER_ENVIRONMENT, WORKER_SLOT_VARIABLE: str(slot)}):
         process.start()
     theirs.close()
+    # Ends it when this process exits without having closed the connection.
+    Finalize(process, ours.close, exitpriority=0)
     worker = _Worker[J](process, ours)
     _send(worker, do_job)
     return worker
@@ -356,6 +361,9 @@ def _work(connection: Connection) -> None:
     # It was started as a daemon, so that it ends with its parent. Daemons may not start processes, which some tasks
     # need; these end with this one.
     multiprocessing.current_process().daemon = False
+    # SIGTERM to a whole process group, such as a service manager's, reaches the parent as well. It ends its workers
+    # in order, and may need their state or results until then.
+    signal.signal(signal.SIGTERM, lambda *_: signal.alarm(_GRACE_SECONDS))
     # The parent may be gone when a job ends, and Ctrl-C reaches all processes of a terminal.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         with uncollected_imports():

@@ -2,8 +2,11 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
@@ -141,6 +144,41 @@ def test_a_job_process_keeps_its_state_and_reports_failures():
     assert other.receive().result == 23
     end_job_processes(processes)
     assert not active_children()
+
+
+def test_a_signal_to_the_whole_group_leaves_workers_to_their_parent():
+    process = JobProcess(Sum(10))
+    process.send(1)
+    assert process.receive().result == 11
+    (worker,) = active_children()
+    assert worker.pid is not None
+    os.kill(worker.pid, signal.SIGTERM)
+    process.send(2)
+    assert process.receive().result == 13
+    end_job_processes([process])
+    assert worker.exitcode == 0
+
+
+LEAVES_A_PROCESS = """
+from mapt.processes import JobProcess
+
+
+def doubled(job, parent):
+    return 2 * job
+
+
+if __name__ == "__main__":
+    process = JobProcess(doubled)
+    process.send(4)
+    print(process.receive().result)
+"""
+
+
+def test_a_program_that_leaves_its_processes_open_ends_at_once(tmp_path: Path):
+    program = tmp_path / "program.py"
+    program.write_text(LEAVES_A_PROCESS)
+    ended = subprocess.run([sys.executable, program], timeout=20, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "8\n", "")
 
 
 def sum_in_a_process(job: int, parent: ParentConnection) -> int:
