@@ -218,7 +218,7 @@ class VersionTrainer:
         long. Until the gain is clear, a Markov path is trained from scratch on the pairs of each network.
         """
         started, gains, paths = self._log.seconds, list[Tensor](), list[RewardNetwork]()
-        accepted = True
+        stays = True
         for number, (fold, network) in enumerate(zip(self.folds, networks, strict=False), 1):
             self._log.part = f"review of attention, fold {number} of at most {len(networks)}"
             paths.append(self._new_model())
@@ -226,16 +226,21 @@ class VersionTrainer:
             if self._log.stopped:
                 return networks, None
             gains.append(losses - self._losses(network, fold))
-            accepted = self._can_gain(losses, fold) and not attention_trial.is_futile(torch.cat(gains))
+            markov_loss = self._unexplained(losses, fold)
+            stays = attention_trial.stays_in_use(torch.cat(gains), markov_loss=markov_loss)
             if attention_trial.is_clear(torch.cat(gains)):
                 break
-        review = AttentionTrial(accepted, torch.cat(gains), len(self._pairs), self._log.seconds - started)
-        return (networks if accepted else paths[:1]), review
+        review = AttentionTrial(stays, torch.cat(gains), len(self._pairs), self._log.seconds - started)
+        return (networks if stays else paths[:1]), review
 
     @staticmethod
-    def _can_gain(losses: Tensor, fold: Fold) -> bool:
+    def _unexplained(losses: Tensor, fold: Fold) -> float:
+        """The mean of losses on a fold's evaluated pairs, less that of a perfect model, in nats."""
+        return losses.mean().item() - fold.evaluated.irreducible_loss
+
+    def _can_gain(self, losses: Tensor, fold: Fold) -> bool:
         """Whether a Markov path with these losses on a fold's evaluated pairs leaves much to gain."""
-        return losses.mean().item() - fold.evaluated.irreducible_loss >= attention_trial.MIN_MARKOV_LOSS
+        return self._unexplained(losses, fold) >= attention_trial.MIN_MARKOV_LOSS
 
     def _restart(
         self, model: RewardNetwork, initial: RewardModel, metrics: Mapping[str, float | None] | None
@@ -294,9 +299,11 @@ class VersionTrainer:
             losses: of the version's Markov path on each pair of its hold-out.
         """
         started, gains, accepted = self._log.seconds, list[Tensor](), None
+        markov_loss = self._unexplained(losses, self._first)
         for number, gain in enumerate(self._gains(losses), 1):
             gains.append(gain)
-            accepted = attention_trial.verdict(torch.cat(gains), is_last=number == len(self.folds))
+            is_last = number == len(self.folds)
+            accepted = attention_trial.verdict(torch.cat(gains), markov_loss=markov_loss, is_last=is_last)
             if accepted is not None:
                 break
         if self._log.stopped:

@@ -3,7 +3,10 @@ import math
 import pytest
 import torch
 
-from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due, trial_metrics, verdict
+from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due, stays_in_use, trial_metrics, verdict
+
+# In nats: the Markov path explains most of the preferences, or few.
+EXPLAINED, UNEXPLAINED = 0.2, 0.5
 
 
 @pytest.mark.parametrize(
@@ -13,14 +16,14 @@ from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due,
 def test_verdict_waits_only_for_an_uncertain_gain(mean, is_last, expected):
     # The standard error of 101 gains of +1 and -1 around the mean is 0.1.
     gains = mean + torch.tensor([1.0, -1.0] * 50 + [0.0])
-    assert verdict(gains, is_last=is_last) is expected
+    assert verdict(gains, markov_loss=EXPLAINED, is_last=is_last) is expected
 
 
 def test_last_verdict_needs_two_standard_errors():
     deviations = torch.tensor([1.0, -1.0] * 50 + [0.0])
-    assert verdict(0.25 + deviations, is_last=False) is None
-    assert verdict(0.25 + deviations, is_last=True) is True
-    assert verdict(0.15 + deviations, is_last=True) is False
+    assert verdict(0.25 + deviations, markov_loss=EXPLAINED, is_last=False) is None
+    assert verdict(0.25 + deviations, markov_loss=EXPLAINED, is_last=True) is True
+    assert verdict(0.15 + deviations, markov_loss=EXPLAINED, is_last=True) is False
 
 
 @pytest.mark.parametrize(
@@ -30,11 +33,45 @@ def test_last_verdict_needs_two_standard_errors():
 def test_a_gain_that_is_too_small_to_matter_is_rejected(mean, is_last, expected):
     # The standard error of 10,001 gains of +0.6 and -0.6 around the mean is 0.006.
     gains = mean + 0.6 * torch.tensor([1.0, -1.0] * 5000 + [0.0])
-    assert verdict(gains, is_last=is_last) is expected
+    assert verdict(gains, markov_loss=EXPLAINED, is_last=is_last) is expected
 
 
 def test_one_pair_accepts_nothing():
-    assert verdict(torch.tensor([5.0]), is_last=True) is False
+    for markov_loss in (EXPLAINED, UNEXPLAINED):
+        assert verdict(torch.tensor([5.0]), markov_loss=markov_loss, is_last=True) is False
+
+
+@pytest.mark.parametrize(
+    ("mean", "is_last", "expected"),
+    [
+        (0.35, False, True),
+        (0.15, False, None),
+        (-0.15, False, None),
+        (-0.25, False, False),
+        (0.15, True, True),
+        (0.05, True, False),
+        (-0.15, True, False),
+    ],
+)
+def test_where_the_markov_path_explains_little_only_a_clear_loss_ends_a_trial_early(mean, is_last, expected):
+    # The standard error is 0.1.
+    gains = mean + torch.tensor([1.0, -1.0] * 50 + [0.0])
+    assert verdict(gains, markov_loss=UNEXPLAINED, is_last=is_last) is expected
+
+
+@pytest.mark.parametrize(
+    ("mean", "markov_loss", "expected"),
+    [
+        (0.15, EXPLAINED, True),
+        (0.05, EXPLAINED, False),
+        (0.05, UNEXPLAINED, True),
+        (-0.05, UNEXPLAINED, False),
+        (0.5, 0.05, False),
+    ],
+)
+def test_attention_stays_in_use_while_it_gains(mean, markov_loss, expected):
+    gains = mean + torch.tensor([1.0, -1.0] * 50 + [0.0])
+    assert stays_in_use(gains, markov_loss=markov_loss) is expected
 
 
 def test_each_pair_is_judged_at_the_epoch_that_the_other_half_selects():

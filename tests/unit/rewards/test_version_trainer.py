@@ -23,7 +23,8 @@ from support.random_preferences import (
 )
 
 
-def test_rejected_attention_leaves_the_markov_path_alone():
+def test_rejected_attention_leaves_the_markov_path_alone(monkeypatch):
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, **_: False)
     coin_flips = np.random.default_rng(5).integers(0, 2, 80)
     trained = train_reward_model(preferences(80, labels=coin_flips), CONFIG, QUICK)
     assert trained.model.is_markov
@@ -34,7 +35,7 @@ def test_rejected_attention_leaves_the_markov_path_alone():
 def test_attention_is_tried_again_when_labels_have_grown(monkeypatch):
     tried = []
 
-    def reject(gains, *, is_last):
+    def reject(gains, **_):
         tried.append(len(gains))
         return False
 
@@ -51,7 +52,7 @@ def test_attention_is_tried_again_when_labels_have_grown(monkeypatch):
 
 def accepted(monkeypatch, n_pairs=80):
     """A version that uses attention."""
-    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, **_: True)
     trained = train_reward_model(preferences(n_pairs), CONFIG, QUICK)
     assert trained.metrics["attention"] == 1
     assert not trained.model.is_markov
@@ -94,7 +95,7 @@ def test_attention_that_was_accepted_by_chance_ends_with_more_labels(monkeypatch
 
 def test_attention_that_still_gains_stays_in_use(monkeypatch):
     first = accepted(monkeypatch)
-    monkeypatch.setattr(attention_trial, "is_futile", lambda gains: False)
+    monkeypatch.setattr(attention_trial, "stays_in_use", lambda gains, markov_loss: True)
     monkeypatch.setattr(attention_trial, "is_clear", lambda gains: False)
     second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
     assert (second.metrics["attention"], second.metrics["networks"]) == (1, 5)
@@ -106,6 +107,7 @@ def test_attention_that_still_gains_stays_in_use(monkeypatch):
 def test_attention_ends_where_a_markov_path_leaves_nothing_to_gain(monkeypatch):
     first = accepted(monkeypatch)
     monkeypatch.setattr(attention_trial, "is_futile", lambda gains: False)
+    monkeypatch.setattr(attention_trial, "UNEXPLAINED_LOSS", 10.0)
     monkeypatch.setattr(attention_trial, "MIN_MARKOV_LOSS", 10.0)
     second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
     assert second.model.is_markov
@@ -154,14 +156,14 @@ def test_a_version_with_attention_is_the_mean_of_networks_that_held_out_differen
 
 @pytest.mark.slow
 def test_the_networks_of_a_trial_are_used_and_one_network_can_be_asked_for(monkeypatch):
-    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True if is_last else None)
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, markov_loss, is_last: True if is_last else None)
     tried, fewer = (train_reward_model(preferences(80), CONFIG, replace(QUICK, networks=n)) for n in (5, 2))
     assert (tried.metrics["networks"], fewer.metrics["networks"]) == (5, 2)
     # The trial trains the networks of all folds; none is trained after it.
     assert tried.metrics["epochs"] == fewer.metrics["epochs"]
     first, second = (version.model.networks[1].embedding.state_dict() for version in (tried, fewer))
     assert same_states(first, second)
-    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, **_: True)
     alone = train_reward_model(preferences(80), CONFIG, replace(QUICK, networks=1))
     assert (alone.model.networks, alone.metrics["networks"]) == ((alone.model,), 1)
     assert alone.metrics["holdout_labels"] < tried.metrics["holdout_labels"]
@@ -211,7 +213,7 @@ def test_a_trial_in_processes_equals_one_in_this_process(monkeypatch, decided_on
     """With two processes, the third fold is tried beside the second, whether or not it is needed."""
     folds_judged = []
 
-    def verdict(gains, *, is_last):
+    def verdict(gains, *, markov_loss, is_last):
         folds_judged.append(len(gains))
         return True if len(folds_judged) == decided_on else False if is_last else None
 
@@ -266,7 +268,7 @@ def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(m
 
 
 def test_network_from_untrained_weights_replaces_one_that_is_slightly_better_on_the_hold_out(monkeypatch):
-    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, **_: True)
     first = train_reward_model(preferences(80, seed=1), CONFIG, replace(QUICK, max_epochs=6))
     assert first.metrics["attention"] == 1
     kept, restarted = (
