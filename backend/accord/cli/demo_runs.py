@@ -103,10 +103,12 @@ class RunPlan:
 
     def differences(self, config: Mapping[str, Any]) -> list[str]:
         """How an experiment's settings differ from these, as clauses of a sentence."""
-        own = self.experiment_settings
+        # The service completes the policy's settings by those of the task and of the policy to start from.
+        planned = self.experiment_settings | _policy_settings(self._policy_config({}))
+        stored = {**config, **_policy_settings(PolicyConfig.from_dict(config.get("policy", {})))}
         # An experiment of an earlier version lacks later settings.
-        found = {name: config.get(name, value) for name, value in own.items()}
-        return [f"{name} is {found[name]!r}, not {value!r}" for name, value in own.items() if found[name] != value]
+        found = {name: stored.get(name, value) for name, value in planned.items()}
+        return [f"{name} is {found[name]!r}, not {value!r}" for name, value in planned.items() if found[name] != value]
 
     @property
     def folder_name(self) -> str:
@@ -131,14 +133,23 @@ class RunPlan:
             self.label_schedule,
             self.last_label_at,
         )
-        stored = None if self.initial is None else initial_settings(self.initial, self.task)
         return RunSettings(
             task=self.task,
-            policy=PolicyConfig.for_task(task_spec(self.task), {"seed": self.seed, **self.policy}, stored),
+            policy=self._policy_config({"seed": self.seed}),
             steps=self.total_steps,
             reward=learned if self.reward_source == PREFERENCES else None,
             initial_policy=self.initial,
         )
+
+    def _policy_config(self, settings: Mapping[str, Any]) -> PolicyConfig:
+        """All settings of its policy; `settings` come before those that the task and the initial policy decide."""
+        stored = None if self.initial is None else initial_settings(self.initial, self.task)
+        return PolicyConfig.for_task(task_spec(self.task), {**settings, **self.policy}, stored)
+
+
+def _policy_settings(config: PolicyConfig) -> dict[str, Any]:
+    """The settings of a policy, named "policy.setting", in place of the dictionary that holds them."""
+    return {"policy": None, **{f"policy.{name}": value for name, value in config.to_dict().items()}}
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,11 @@ from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
 from accord.domain.errors import Invalid, InvalidExperiment, UnknownTask
 from mapt.errors import MissingArray
-from mapt.tasks import make_task
+from mapt.policies.config import settings_for
+from mapt.tasks import make_task, task_spec
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
-from mapt.training.run_folder import RunFolder, stored_policy
+from mapt.training.run_folder import RunFolder, initial_settings, stored_policy
 from mapt.training.teacher_scores import TeacherScores
 
 STEPS = 1000
@@ -123,6 +124,14 @@ def test_a_plan_lists_the_settings_in_which_an_experiment_differs():
     assert plan.pacing == "wait"
     assert plan.differences(config) == []
     assert plan.differences(config | {"seed": 1, "gold_share": 0.2}) == ["seed is 1, not 0"]
+    assert plan.differences(config | {"policy": {"gamma": 0.9}}) == ["policy.gamma is 0.9, not 0.99"]
+
+
+def test_settings_that_the_task_decides_are_no_difference():
+    [plan] = Grid("Hopper-3x1", 1000, (0,), (50,), ("MAPT",), baseline=False).plans("oracle")
+    completed = settings_for(task_spec("Hopper-3x1"), {})
+    assert completed
+    assert plan.differences({**asdict(plan), "policy": completed}) == []
 
 
 def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
@@ -177,6 +186,10 @@ def test_runs_that_start_from_a_stored_policy_are_other_runs_with_its_networks(t
     assert usual[1].differences(started[1].experiment_settings) == [
         f"initial_policy is 'pol_{initial.sha256[:24]}', not ''"
     ]
+    # As the service completes it.
+    completed = settings_for(task_spec("HalfCheetah-2x3"), {}, initial_settings(initial, "HalfCheetah-2x3"))
+    assert completed["algorithm"] == "mat"
+    assert started[1].differences(started[1].experiment_settings | {"policy": completed}) == []
     check_plans(started, TeacherChoice().teacher(0))
 
 

@@ -6,7 +6,7 @@ import torch
 from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due, stays_in_use, trial_metrics, verdict
 
 # In nats: the Markov path explains most of the preferences, or few.
-EXPLAINED, UNEXPLAINED = 0.2, 0.5
+EXPLAINED, UNEXPLAINED = 0.2, 0.6
 
 
 @pytest.mark.parametrize(
