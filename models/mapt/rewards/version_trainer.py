@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from statistics import fmean
 from typing import TypeVar
 
 import numpy as np
@@ -217,8 +218,8 @@ class VersionTrainer:
         A trial on a hundred labels accepts attention by chance now and then, and with it a version takes ten times as
         long. Until the gain is clear, a Markov path is trained from scratch on the pairs of each network.
         """
-        started, gains, paths = self._log.seconds, list[Tensor](), list[RewardNetwork]()
-        stays = True
+        started, stays = self._log.seconds, True
+        gains, markov_losses, paths = list[Tensor](), list[float](), list[RewardNetwork]()
         for number, (fold, network) in enumerate(zip(self.folds, networks, strict=False), 1):
             self._log.part = f"review of attention, fold {number} of at most {len(networks)}"
             paths.append(self._new_model())
@@ -226,8 +227,8 @@ class VersionTrainer:
             if self._log.stopped:
                 return networks, None
             gains.append(losses - self._losses(network, fold))
-            markov_loss = self._unexplained(losses, fold)
-            stays = attention_trial.stays_in_use(torch.cat(gains), markov_loss=markov_loss)
+            markov_losses.append(self._unexplained(losses, fold))
+            stays = attention_trial.stays_in_use(torch.cat(gains), markov_loss=fmean(markov_losses))
             if attention_trial.is_clear(torch.cat(gains)):
                 break
         review = AttentionTrial(stays, torch.cat(gains), len(self._pairs), self._log.seconds - started)
