@@ -533,7 +533,7 @@ def test_labels_of_weight_0_do_not_mislead_the_model():
     fresh = preferences(200, seed=1)
 
     def predicted_correctly(pairs):
-        trained = train_reward_model(pairs, CONFIG, QUICK)
+        trained = train_reward_model(pairs, MARKOV, QUICK)
         segments = fresh.segments
         with torch.inference_mode():
             arrays = (torch.as_tensor(x) for x in (segments.observations, segments.actions, segments.mask))
@@ -575,7 +575,10 @@ def test_irreducible_loss_is_that_of_predicting_each_labels_probability():
     assert irreducible([0.75, 1, 0, 1]) == pytest.approx(entropy / 4, rel=1e-5)
 
 
-@pytest.mark.parametrize(("name", "settings"), [("MA-MLP", {}), ("MAPT-paper", {"cpa": False, "tpa": False})])
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("MA-MLP", {}), pytest.param("MAPT-paper", {"cpa": False, "tpa": False}, marks=pytest.mark.slow)],
+)
 def test_decisive_agents_teach_which_agent_earns_the_reward(name, settings):
     """Agent 0 earns what both observe, so that preferences alone cannot tell whose reward it is."""
     dataset = preferences(120)

@@ -251,6 +251,7 @@ def test_stop_ends_networks_in_processes(monkeypatch):
     assert trained.metrics["networks"] == 1
 
 
+@pytest.mark.slow
 def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(monkeypatch):
     first = accepted(monkeypatch)
     initial = copy.deepcopy(first.model)
