@@ -30,7 +30,7 @@ from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
 from mapt.training.run_folder import RunFolder, initial_settings, load_policy, policy_of, read_initial
 from mapt.training.schedule import LAST_LABEL_AT, LabelScheduleName
-from mapt.training.settings import InitialPolicy, PreferenceRewardSettings, RunSettings
+from mapt.training.settings import InitialPolicy, PreferenceRewardSettings, RunSettings, flat_settings
 from mapt.training.teacher_scores import TeacherScores, read_teacher_scores, score_policy, write_teacher_scores
 from mapt.training.video import record_video
 
@@ -104,8 +104,9 @@ class RunPlan:
     def differences(self, config: Mapping[str, Any]) -> list[str]:
         """How an experiment's settings differ from these, as clauses of a sentence."""
         # The service completes the policy's settings by those of the task and of the policy to start from.
-        planned = self.experiment_settings | _policy_settings(self._policy_config({}))
-        stored = {**config, **_policy_settings(PolicyConfig.from_dict(config.get("policy", {})))}
+        policy = PolicyConfig.from_dict(config.get("policy", {})).to_dict()
+        planned = flat_settings(self.experiment_settings | {"policy": self._policy_config({}).to_dict()})
+        stored = flat_settings({**config, "policy": policy})
         # An experiment of an earlier version lacks later settings.
         found = {name: stored.get(name, value) for name, value in planned.items()}
         return [f"{name} is {found[name]!r}, not {value!r}" for name, value in planned.items() if found[name] != value]
@@ -145,11 +146,6 @@ class RunPlan:
         """All settings of its policy; `settings` come before those that the task and the initial policy decide."""
         stored = None if self.initial is None else initial_settings(self.initial, self.task)
         return PolicyConfig.for_task(task_spec(self.task), {**settings, **self.policy}, stored)
-
-
-def _policy_settings(config: PolicyConfig) -> dict[str, Any]:
-    """The settings of a policy, named "policy.setting", in place of the dictionary that holds them."""
-    return {"policy": None, **{f"policy.{name}": value for name, value in config.to_dict().items()}}
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,10 +35,10 @@ MIN_GAIN = 0.02
 # there is no trial, nor a training of the Markov path with more smoothness.
 MIN_MARKOV_LOSS = 0.1
 # Nats; from this loss on, the Markov path explains less than a quarter of the preferences. On 200 labels of `phase`,
-# where it is about 0.63, folds gained -0.05 to 0.10 nats, although all whole networks predicted other pairs better, by
-# 2 to 7 points of accuracy, and trials stopped after the first fold. Where it is lower, an early rejection is mostly
-# right: on 300 to 700 labels of an oracle on the hands' tasks, with losses of 0.3 to 0.5 nats, the first fold alone is
-# 3 to 5 standard errors below 0. With 10% mistakes in the labels, a perfect Markov path has a loss of 0.33.
+# where it is about 0.63, the five folds of a trial gain -0.05 to 0.10 nats, although every whole network predicts other
+# pairs better, by up to 7 points of accuracy; such trials ended after the first fold. Where the loss is lower, early
+# rejections are mostly right: twelve trials on 300 to 700 labels of an oracle on the hands' tasks, where it is 0.14 to
+# 0.47 nats, gained -0.22 to 0.02 nats. With 10% mistakes in the labels, a perfect Markov path has a loss of 0.33.
 UNEXPLAINED_LOSS = 0.75 * math.log(2)
 # The standard errors below 0 that end a trial there, and those above 0 that accept attention in the end.
 UNEXPLAINED_FUTILE_THRESHOLD = 2.0

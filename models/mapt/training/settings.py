@@ -217,7 +217,7 @@ class RunSettings:
 
     def flat(self) -> dict[str, object]:
         """Every setting by name; nested ones as `outer.inner`."""
-        return _flat(self.to_dict())
+        return flat_settings(self.to_dict())
 
     def differences(self, other: "RunSettings") -> list[str]:
         """Settings that differ, as `name: own value, not other value`. Ignores `steps`, since a run can be extended."""
@@ -236,9 +236,10 @@ def _reward_of(settings: Mapping[str, object] | None) -> Reward | None:
     return kind(**settings)  # pyright: ignore[reportArgumentType]
 
 
-def _flat(settings: Mapping[str, object]) -> dict[str, object]:
+def flat_settings(settings: Mapping[str, object]) -> dict[str, object]:
+    """Every setting by name; nested ones as `outer.inner`."""
     flat: dict[str, object] = {}
     for name, value in settings.items():
-        inner = _flat(value) if isinstance(value, Mapping) else None
+        inner = flat_settings(value) if isinstance(value, Mapping) else None
         flat |= {name: value} if inner is None else {f"{name}.{key}": each for key, each in inner.items()}
     return flat
