@@ -124,6 +124,13 @@ def _complete(config: ExperimentConfig, spec: TaskSpec, initial: InitialPolicy |
             f"The policy {config.initial_policy} is of the task {initial.about.task}, not of {spec.name}.",
             "initial_policy",
         )
+    if initial is not None and initial.about.observation_dim != spec.observation_dim:
+        raise InvalidExperiment(
+            f"Each agent of the policy {config.initial_policy} observes {initial.about.observation_dim} numbers, each "
+            f"agent of {spec.name} in an experiment {spec.observation_dim}. Train the policy without --agent-obsk, and "
+            "upload it again.",
+            "initial_policy",
+        )
     try:
         with within("policy"):
             policy = settings_for(spec, config.policy, None if initial is None else initial.about.config)

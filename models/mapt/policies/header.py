@@ -11,6 +11,8 @@ FORMAT_VERSION = 2
 DESCRIPTION_KEY = "mapt.policies"
 #: A safetensors file starts with the length of its JSON header in this many bytes, little-endian.
 _LENGTH_BYTES = 8
+#: Statistics of the observations, (N, 1, C): of actors, and of mat's encoder.
+_OBSERVATION_STATISTICS = ("actor.normaliser.mean", "normaliser.mean")
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +23,8 @@ class Description:
     task: str
     #: the learner's settings, from `PolicyConfig.to_dict`
     config: dict[str, object]
+    #: numbers that each agent observes, C
+    observation_dim: int
 
 
 def describe(content: bytes) -> Description:
@@ -35,8 +39,11 @@ def describe(content: bytes) -> Description:
         header = json.loads(content[_LENGTH_BYTES : _LENGTH_BYTES + length])
         description = json.loads(header["__metadata__"][DESCRIPTION_KEY])
         version, task, config = int(description["format"]), description["task"], description["config"]
+        dims = [header[name]["shape"][-1] for name in _OBSERVATION_STATISTICS if name in header]
     except (ValueError, KeyError, TypeError) as error:
         raise DamagedCheckpoint(repr(error)) from error
     if version > FORMAT_VERSION:
         raise NewerCheckpoint(version, FORMAT_VERSION)
-    return Description(task, config)
+    if not dims:
+        raise DamagedCheckpoint("no statistics of observations")
+    return Description(task, config, dims[0])

@@ -122,6 +122,15 @@ def test_a_policy_that_no_experiment_can_start_from_is_refused(
     assert sorted(blob.key for blob in api.stores.blobs.stored()) == before, "no copy is left"
 
 
+def test_a_policy_with_other_observations_is_refused(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    task = mapt.make_task(TASK, 1, agent_obsk=0)
+    Learner(task, PolicyConfig(n_envs=1, hidden=(8,), device="cpu")).save(tmp_path / "policy")
+    uploaded = client.upload_policy(tmp_path / "policy")
+    message = r"observes 13 numbers, each agent of HalfCheetah-6x1 in an experiment 15\. Train the policy without"
+    with pytest.raises(Refused, match=message):
+        client.create_experiment("refused", TASK, initial_policy=uploaded.id)
+
+
 def test_a_file_that_is_no_policy_is_refused(api: ApiServer, client: Client, tmp_path: Path) -> None:
     _, policy = store_models(api, create_sample(api.stores.database, api.stores.blobs).experiment.id)
     for content in (b"", b"something else", policy[:-1]):
