@@ -164,7 +164,7 @@ def test_a_victory_without_regeneration_has_the_return_20(name: str) -> None:
     place(task, health=health, shield=shield, x=[10] * n + [11.5] * (len(units) - n), y=[16] * len(units))
     step = task.step(one_hot(task, [[FIRST_TARGET if not unit.heals else STOP for unit in units[:n]]]))
     assert step.success is not None
-    assert (step.success.tolist(), step.terminated.tolist()) == ([True], [True])
+    assert (step.success.tolist(), step.terminated.tolist()) == ([True], [False])
     assert step.reward[0] == pytest.approx((1 + 10 + 200) * 20 / best)
 
 
@@ -192,26 +192,53 @@ def test_a_battle_in_which_all_enemies_die_has_the_return_20() -> None:
     assert totals == pytest.approx([20.0] * len(totals))
 
 
-def test_losing_every_agent_ends_the_episode_without_a_bonus() -> None:
+def test_the_last_state_of_a_battle_is_shown_for_one_step() -> None:
     task = make("3m")
     place(task, health=[1, 0, 0, 45, 45, 45], x=[10, 0, 0, 11, 11, 11], y=[16, 0, 0, 16, 17, 15])
-    step = task.step(one_hot(task, [[STOP, NO_OP, NO_OP]]))
+    lost = task.step(one_hot(task, [[STOP, NO_OP, NO_OP]]))
+    assert lost.success is not None
+    assert (lost.terminated[0], lost.reward[0], lost.success[0]) == (False, 0.0, False)
+    assert task.simulator_state()[0].reshape(6, 5)[:, 2].tolist() == [0, 0, 0, 45, 45, 45]
+    last = task.step(one_hot(task, [[NO_OP] * 3]))
+    assert last.success is not None
+    assert (last.terminated[0], last.truncated[0], last.reward[0], last.success[0]) == (True, False, 0.0, False)
+    # The next episode has started, and the last observations of the ended one are kept.
+    assert not last.final_observations.any()
+    assert last.observations.any()
+    assert (task.snapshot()["health"] == 45).all()
+
+
+def test_winners_can_only_stop_and_earn_nothing_more() -> None:
+    task = make("3s5z")
+    health = [70.0] * 3 + [100.0] * 5 + [0.0] * 8
+    place(task, health=health, shield=[0.0] * 16)
+    available = task.available_actions()[0]
+    assert [np.flatnonzero(agent).tolist() for agent in available] == [[STOP]] * 8
+    step = task.step(one_hot(task, [[STOP] * 8]))
     assert step.success is not None
     assert (step.terminated[0], step.reward[0], step.success[0]) == (True, 0.0, False)
-    # The next episode has started, and the last observations of the ended one are kept.
-    assert not step.final_observations.any()
-    assert step.observations.any()
-    assert (task.snapshot()["health"] == 45).all()
 
 
 def test_a_team_of_medivacs_alone_has_lost() -> None:
     task = make("MMM2")
     health = np.zeros(22)
-    health[[9, 10]] = 150, 125
-    place(task, health=health, x=[1.0] * 10 + [30.0] * 12)
-    step = task.step(one_hot(task, [[NO_OP] * 9 + [STOP]]))
+    health[[0, 9, 10]] = 1, 150, 125
+    place(task, health=health, x=[1.0] * 10 + [1.5] * 12)
+    assert task.available_actions()[0, 9, NORTH:].any()
+    step = task.step(one_hot(task, [[STOP] + [NO_OP] * 8 + [STOP]]))
     assert step.success is not None
-    assert (step.terminated[0], step.success[0]) == (True, False)
+    assert (step.terminated[0], step.success[0]) == (False, False)
+    assert np.flatnonzero(task.available_actions()[0, 9]).tolist() == [STOP]
+    assert task.step(one_hot(task, [[NO_OP] * 9 + [STOP]])).terminated[0]
+
+
+def test_a_battle_that_ends_in_the_last_step_terminates_at_once() -> None:
+    task = make("3m")
+    health, elapsed = [45, 45, 45, 1, 0, 0], task.spec.horizon_steps - 1
+    place(task, health=health, x=[10] * 3 + [11.5] * 3, y=[16] * 6, elapsed_steps=elapsed)
+    step = task.step(one_hot(task, [[FIRST_TARGET] * 3]))
+    assert step.success is not None
+    assert (step.terminated[0], step.truncated[0], step.success[0]) == (True, False, True)
 
 
 def test_an_episode_is_truncated_at_the_limit() -> None:
