@@ -19,7 +19,7 @@ from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, check_plan
 from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
 from accord.domain.errors import Invalid, InvalidExperiment, UnknownTask
-from mapt.errors import MissingArray
+from mapt.errors import InvalidTeacher
 from mapt.policies.config import settings_for
 from mapt.tasks import make_task, task_spec
 from mapt.training.evaluation import Evaluation
@@ -212,7 +212,7 @@ def test_a_run_that_exists_with_other_settings_is_refused():
         ({"task": "Nope"}, UnknownTask),
         ({"models": "MAPTT"}, InvalidExperiment),
         ({"settings": ["learning_rat=1"]}, InvalidExperiment),
-        ({"teacher": "carry"}, MissingArray),
+        ({"teacher": "carry"}, InvalidTeacher),
     ],
 )
 def test_a_wrong_name_or_setting_is_refused_before_a_service_is_started(

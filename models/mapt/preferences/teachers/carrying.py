@@ -52,6 +52,10 @@ class Carrying(Rule):
     def reads(self) -> tuple[str, ...]:
         return ("qpos", "qvel")
 
+    @property
+    def task_prefix(self) -> str:
+        return "Porters-"
+
     def scores(self, view: TeacherView) -> Float64s:
         """See `Rule.scores`."""
         qpos, qvel = view.require("qpos").astype(np.float64), view.require("qvel").astype(np.float64)
