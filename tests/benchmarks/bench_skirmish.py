@@ -102,6 +102,7 @@ def play(name: str, team: Team) -> tuple[float, float, float]:
     observations, _ = task.reset(12345)
     wanted = EPISODES // N_ENVS
     returns, lengths, ended = np.zeros(N_ENVS), np.zeros(N_ENVS), np.zeros(N_ENVS, int)
+    succeeded = np.zeros(N_ENVS, bool)
     won, found, steps = [], [], []
     while (ended < wanted).any():
         step = task.step(one_hot(task, team(task, observations, task.available_actions())))
@@ -111,11 +112,12 @@ def play(name: str, team: Team) -> tuple[float, float, float]:
         over = step.terminated | step.truncated
         counted = over & (ended < wanted)
         assert step.success is not None
-        won += step.success[counted].tolist()
+        succeeded |= step.success
+        won += succeeded[counted].tolist()
         found += returns[counted].tolist()
         steps += lengths[counted].tolist()
         ended += over
-        returns[over] = lengths[over] = 0
+        returns[over] = lengths[over] = succeeded[over] = 0
     return float(np.mean(won)), float(np.mean(found)), float(np.mean(steps))
 
 
