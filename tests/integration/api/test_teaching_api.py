@@ -104,10 +104,8 @@ def labelled(api: ApiServer) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
 
 @pytest.mark.parametrize("name", ["oracle", *(name for name in RULES if name != "return")])
 def test_labels_over_rest_equal_the_judgement_of_each_rule(api: ApiServer, teacher_api: Client, name: str) -> None:
-    if name == "attack":
-        sample = differing_segments(api, football_segment, task="Football-3-vs-1")
-    else:
-        sample = differing_segments(api, moving_segment)
+    task = {"attack": "Football-3-vs-1", "carry": "Porters-2x8"}.get(name, "HalfCheetah-6x1")
+    sample = differing_segments(api, football_segment if name == "attack" else moving_segment, task=task)
     parameters = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
     assert teach(teacher_api, sample, name, *parameters) == N_LABELS
     judge = TeacherChoice.parse(":".join((name, *parameters))).teacher(0).judge
