@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.policies.episodes import play_with
 from mapt.tasks import make_task, task_spec
 from mapt.tasks.skirmish.features import EAST, FIRST_TARGET, STOP
 from mapt.tasks.skirmish.maps import MAPS
@@ -99,26 +100,13 @@ def steps_per_second(name: str) -> float:
 def play(name: str, team: Team) -> tuple[float, float, float]:
     """Share of won episodes, mean return and mean length, over equally many episodes of each environment."""
     task = make(name)
-    observations, _ = task.reset(12345)
-    wanted = EPISODES // N_ENVS
-    returns, lengths, ended = np.zeros(N_ENVS), np.zeros(N_ENVS), np.zeros(N_ENVS, int)
-    succeeded = np.zeros(N_ENVS, bool)
-    won, found, steps = [], [], []
-    while (ended < wanted).any():
-        step = task.step(one_hot(task, team(task, observations, task.available_actions())))
-        observations = step.observations
-        returns += step.reward
-        lengths += 1
-        over = step.terminated | step.truncated
-        counted = over & (ended < wanted)
-        assert step.success is not None
-        succeeded |= step.success
-        won += succeeded[counted].tolist()
-        found += returns[counted].tolist()
-        steps += lengths[counted].tolist()
-        ended += over
-        returns[over] = lengths[over] = succeeded[over] = 0
-    return float(np.mean(won)), float(np.mean(found)), float(np.mean(steps))
+
+    def act(observations: NDArray) -> NDArray:
+        return one_hot(task, team(task, observations, task.available_actions()))
+
+    played = play_with(act, task, EPISODES, seed=12345)
+    assert played.successes is not None
+    return float(played.successes.mean()), float(played.returns.mean()), float(played.lengths.mean())
 
 
 def make(name: str) -> Skirmish:

@@ -192,7 +192,7 @@ def test_a_researcher_edits_clones_archives_and_deletes_an_experiment(
     expect(page.get_by_role("heading", name="Experiments", exact=True)).to_be_visible()
     page.get_by_role("button", name="Show archive").click()
     expect(page.get_by_text("The archive is empty.")).to_be_visible()
-    assert service.rows("select name, deleted_by from deletions")[0][0] == name
+    assert service.rows("select name from deletions where deleted_id = ?", experiment) == [(name,)]
     assert service.rows("select id from experiments where id = ?", experiment) == []
 
 

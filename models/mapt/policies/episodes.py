@@ -58,7 +58,13 @@ def play(
         seed: seed of the initial states and of the samples.
     """
     acting = policy.policy if isinstance(policy, Learner) else policy
-    act = actor(acting, task, deterministic=deterministic, seed=seed)
+    return play_with(actor(acting, task, deterministic=deterministic, seed=seed), task, episodes, seed=seed)
+
+
+def play_with(
+    act: Callable[[NDArray[np.floating]], NDArray[np.floating]], task: Task, episodes: int, *, seed: int
+) -> Episodes:
+    """As `play`, with any function from observations (E, N, C) to actions (E, N, A) in place of a policy."""
     n_rounds = math.ceil(episodes / task.n_envs)
     # Environments that finish early continue into the spare last row.
     returns = np.zeros((n_rounds + 1, task.n_envs))

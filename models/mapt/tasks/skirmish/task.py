@@ -50,9 +50,9 @@ class Skirmish:
     """A `MaskingTask`: E battles on one map.
 
     A battle is over when one side has nobody left who can attack. Its episode terminates one step later: in the last
-    state, agents can only stop, for a reward of 0. Segments consist of states before actions; so people, teachers and
-    reward models see how a battle ended. An episode is truncated at the map's limit, where a battle that ends in its
-    last step terminates at once.
+    state, living agents can only stop, for a reward of 0. Segments consist of states before actions; so people,
+    teachers and reward models see how a battle ended. An episode is truncated at the map's limit, where a battle that
+    ends in its last step terminates at once.
 
     Args:
         spec: `SkirmishDefinition.spec`'s result.
@@ -100,20 +100,21 @@ class Skirmish:
         chosen = chosen_actions(actions, self._available)
         battle, enemies = self._battle, slice(self._spec.n_agents, None)
         before, alive_before = battle.health + battle.shield, battle.health > 0
-        is_fought = ~self._is_over()
+        was_over = self._is_over(alive_before)
         self._fight(chosen)
         self._last_actions = chosen
         self._elapsed_steps += 1
 
+        alive = battle.health > 0
         lost = (before - battle.health - battle.shield)[:, enemies].sum(axis=1)
-        killed = (alive_before & (battle.health <= 0))[:, enemies].sum(axis=1)
-        agents_left, enemies_left = self._can_fight()
-        won = is_fought & agents_left & ~enemies_left
+        killed = (alive_before & ~alive)[:, enemies].sum(axis=1)
+        agents_left, enemies_left = self._can_fight(alive)
+        won = ~was_over & agents_left & ~enemies_left
         # What enemies recover is subtracted. SMAC takes the absolute value, which pays for recovery: teams then learn
         # to hurt shields, to flee until these are full again, and never to win.
-        reward = (lost + KILL_REWARD * killed + WIN_REWARD * won) * self._reward_scale * is_fought
+        reward = (lost + KILL_REWARD * killed + WIN_REWARD * won) * self._reward_scale * ~was_over
         at_limit = self._elapsed_steps >= self._spec.horizon_steps
-        terminated = ~is_fought | (at_limit & self._is_over())
+        terminated = was_over | (at_limit & ~(agents_left & enemies_left))
         truncated = at_limit & ~terminated
 
         final_observations, final_state = observations, state = self._observe(np.arange(self._n_envs))
@@ -160,14 +161,14 @@ class Skirmish:
         for _ in range(LOOPS_PER_STEP):
             battle.loop(goal_x, goal_y)
 
-    def _can_fight(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether agents, and enemies, have anybody left who can attack: (E,) each."""
-        able, n = (self._battle.health > 0) & self._battle.armed, self._spec.n_agents
+    def _can_fight(self, alive: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether agents, and enemies, have anybody left who can attack, (E,) each, given who is alive (E, U)."""
+        able, n = alive & self._battle.armed, self._spec.n_agents
         return np.logical_or.reduce(able[:, :n], axis=1), np.logical_or.reduce(able[:, n:], axis=1)
 
-    def _is_over(self) -> NDArray[np.bool_]:
-        """(E,)."""
-        agents_left, enemies_left = self._can_fight()
+    def _is_over(self, alive: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether each battle is over, (E,), given who is alive (E, U)."""
+        agents_left, enemies_left = self._can_fight(alive)
         return ~(agents_left & enemies_left)
 
     def _start_episodes(self, envs: NDArray[np.intp]) -> None:
@@ -179,7 +180,7 @@ class Skirmish:
         """Observations and state of these environments, whose available actions are updated."""
         view = View.of(self._battle, envs)
         available = self._features.available_actions(view)
-        available[self._is_over()[envs], :, NORTH:] = False
+        available[self._is_over(view.alive), :, NORTH:] = False
         self._available[envs] = available
         observations = self._features.observations(view, available, self._dtype)
         return observations, self._features.state(view, self._last_actions[envs], self._dtype)
