@@ -24,6 +24,7 @@ def accord(tmp_path: Path) -> Iterator[Accord]:
     accord.kill_everything()
 
 
+@pytest.mark.slow
 def test_an_experiment_on_a_skirmish_runs_from_the_first_clip_to_the_trained_policy(
     accord: Accord, tmp_path: Path
 ) -> None:

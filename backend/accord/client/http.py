@@ -158,18 +158,24 @@ class _Retries:
     """The pauses between the attempts of one request."""
 
     def __init__(self, limit_seconds: float, stopped: Callable[[], bool], sleep: Callable[[float], Awaitable[None]]):
-        self._deadline = time.monotonic() + limit_seconds
+        self._seconds_left = limit_seconds
         self._stopped, self._sleep = stopped, sleep
         self._step = _FIRST_PAUSE_SECONDS
+        self._attempt_began = time.monotonic()
 
     async def pause(self, problem: str, at_least_seconds: float = 0.0) -> None:
         """Wait before the next attempt. Raises Unavailable with the problem if there shall be none."""
         # with jitter, so that clients that failed together do not retry together
         seconds = max(self._step * random.uniform(0.5, 1.0), at_least_seconds)
-        if time.monotonic() + seconds > self._deadline or self._stopped():
+        # An attempt counts up to the time that the service has for a response: what is longer is a long upload that
+        # breaks off, or a program that was paused meanwhile. Both shall be tried again.
+        tried = min(time.monotonic() - self._attempt_began, _TIMEOUT_SECONDS)
+        self._seconds_left -= tried + seconds
+        if self._seconds_left < 0 or self._stopped():
             raise Unavailable(problem)
         await self._sleep(seconds)
         self._step = min(_LONGEST_PAUSE_SECONDS, 2.0 * self._step)
+        self._attempt_began = time.monotonic()
 
 
 class Http:

@@ -37,7 +37,9 @@ def start_and_fail(home: Path, **environment: str) -> subprocess.CompletedProces
     )
 
 
-@pytest.mark.parametrize("kill_after", [1, 40, 120])
+@pytest.mark.parametrize(
+    "kill_after", [pytest.param(1, marks=pytest.mark.slow), 40, pytest.param(120, marks=pytest.mark.slow)]
+)
 def test_acknowledged_labels_survive_sigkill(tmp_path: Path, kill_after: int) -> None:
     settings = Settings(home=tmp_path)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)

@@ -160,4 +160,4 @@ def state_and_value(label: float | str | None) -> tuple[str, float | None]:
 LabellingMachine.TestCase.settings = settings(
     max_examples=30, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck)
 )
-TestAnySequenceOfLabels = LabellingMachine.TestCase
+TestAnySequenceOfLabels = pytest.mark.slow(LabellingMachine.TestCase)

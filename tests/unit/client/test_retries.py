@@ -1,8 +1,10 @@
 import asyncio
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -95,6 +97,14 @@ def test_a_response_that_breaks_off_is_requested_again(server, call, tmp_path):
     call("export", "exp_1", tmp_path / "export.zip")
     assert (tmp_path / "export.zip").read_bytes() == b"the whole"
     assert [path.name for path in tmp_path.iterdir()] == ["export.zip"]
+
+
+def test_a_request_during_which_the_program_was_paused_is_repeated(server, call, monkeypatch):
+    # As a program sees the clock that waits for an hour between a request and its response.
+    clock = SimpleNamespace(monotonic=lambda: 3600.0 * len(server.requests), sleep=time.sleep)
+    monkeypatch.setattr("accord.client.http.time", clock)
+    server.responses = [(200, {"Content-Length": "9"}, b"half"), (200, {}, [1])]
+    assert call("get", "/me", retry_seconds=60.0) == [1]
 
 
 def test_a_retry_time_beyond_the_limit_is_not_waited_for(server, call):
