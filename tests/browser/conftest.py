@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_playwright
 
@@ -18,8 +17,11 @@ from browser.labeller import PATIENCE_MS
 from browser.service import SMALL, Service
 from support.chromium import chromium
 from support.ci import IN_CI
-from support.waiting import until
 
+#: the service, once it was started
+_SERVICE = pytest.StashKey[Service]()
+#: ids of the experiments and users before the first attempt of a test
+_EXISTING = pytest.StashKey[set[str]]()
 _FLAGS = (
     "--no-sandbox",
     "--disable-gpu",
@@ -38,6 +40,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.flaky(reruns=1))
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before a second attempt, free the names of what the first one created: the service goes on between them."""
+    service = item.session.stash.get(_SERVICE, None)
+    if service is None or not service.is_alive():
+        return
+    if getattr(item, "execution_count", 1) == 1:
+        item.stash[_EXISTING] = service.named()
+    else:
+        service.free_names(item.stash.get(_EXISTING, set()))
+
+
 @pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     program = chromium()
@@ -52,12 +65,15 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="package")
-def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Service]:
+def service(
+    tmp_path_factory: pytest.TempPathFactory, browser: Browser, request: pytest.FixtureRequest
+) -> Iterator[Service]:
     """A running service. Depends on `browser`, so that a test skipped without a browser does not start the service."""
     if not (FOLDER / "index.html").is_file():
         pytest.skip("the page is not built: python frontend/build_page.py")
     service = Service(tmp_path_factory.mktemp("accord"))
     service.start()
+    request.session.stash[_SERVICE] = service
     yield service
     service.stop()
 
@@ -86,9 +102,6 @@ def _cancelled_afterwards(service: Service, researcher: str) -> Iterator[NewExpe
 
         def start(name: str, **changes: Any) -> str:
             response = api.post("/experiments", json=SMALL | {"name": name} | changes)
-            if response.status_code == 409:
-                _delete(api, name)
-                response = api.post("/experiments", json=SMALL | {"name": name} | changes)
             assert response.status_code == 201, response.text
             created.append(response.json()["id"])
             return created[-1]
@@ -96,13 +109,6 @@ def _cancelled_afterwards(service: Service, researcher: str) -> Iterator[NewExpe
         yield start
         for experiment_id in created:
             api.post(f"/experiments/{experiment_id}/cancel")
-
-
-def _delete(api: httpx.Client, name: str) -> None:
-    """Delete the experiment of an earlier attempt of a test."""
-    listed = api.get("/experiments", params={"limit": 100}).json()["items"]
-    [id] = [experiment["id"] for experiment in listed if experiment["name"] == name]
-    until(lambda: api.delete(f"/experiments/{id}", params={"name": name}).is_success, f"{name} is deleted")
 
 
 @pytest.fixture
@@ -116,10 +122,7 @@ def sign_in(service: Service, browser: Browser, request: pytest.FixtureRequest) 
     refused: list[str] = []
 
     def enter(name: str, role: str = "labeller", **options: Any) -> Page:
-        # The service goes on between two attempts of a test, and names are unique.
-        attempt = getattr(request.node, "execution_count", 1)
-        owner = request.node.name if attempt == 1 else f"attempt {attempt} of {request.node.name}"
-        _, link = service.add_user(f"{name} of {owner}"[:100], role)
+        _, link = service.add_user(f"{name} of {request.node.name}"[:100], role)
         context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
         contexts.append(context)
         assert context.request.post(link.replace("/sign-in/", "/api/v1/sign-in/")).ok

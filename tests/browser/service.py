@@ -105,6 +105,17 @@ class Service:
         headers = {"Authorization": f"Bearer {token}"}
         return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, timeout=PATIENCE_SECONDS, **PLAIN_HTTP)
 
+    def named(self) -> set[str]:
+        """The ids of all experiments and users."""
+        return {id for (id,) in self.rows("select id from experiments union select id from users")}
+
+    def free_names(self, kept: set[str]) -> None:
+        """Rename all experiments and users but those with these ids: each gets its id as name."""
+        with closing(sqlite3.connect(self.home / "accord.db", timeout=PATIENCE_SECONDS)) as connection, connection:
+            for id in self.named() - kept:
+                connection.execute("update experiments set name = id where id = ?", (id,))
+                connection.execute("update users set name = id where id = ?", (id,))
+
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """Query the database directly, without the API."""
         with closing(sqlite3.connect(self.home / "accord.db")) as connection:
