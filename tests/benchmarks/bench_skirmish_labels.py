@@ -10,9 +10,10 @@ import math
 import sys
 
 import torch
-from bench_skirmish import play
+from bench_skirmish import EPISODES, make
 
 from mapt.policies import Learner, PolicyConfig
+from mapt.policies.episodes import play
 from mapt.preferences.teachers import make_teacher
 from mapt.tasks import make_task, task_spec
 from mapt.training.policy_trainer import PolicyTrainer
@@ -44,9 +45,9 @@ def main() -> int:
     print("seed, won, mean return, mean steps, held-out accuracy")
     for seed in map(int, seeds.split(",")):
         learner, accuracy = train(task, model, int(labels), int(steps), seed, int(segment_steps))
-        won, mean_return, length = play(
-            task, lambda _task, seen, free, policy=learner.policy: policy.act(seen, None, free).argmax(axis=2)
-        )
+        played = play(learner, make(task), EPISODES, seed=12345)
+        assert played.successes is not None
+        won, mean_return, length = played.successes.mean(), played.returns.mean(), played.lengths.mean()
         print(f"{seed:>4}{won:>6.0%}{mean_return:>8.1f}{length:>7.1f}{accuracy:>8.3f}", flush=True)
     return 0
 

@@ -100,7 +100,7 @@ def test_a_response_that_breaks_off_is_requested_again(server, call, tmp_path):
 
 
 def test_a_request_during_which_the_program_was_paused_is_repeated(server, call, monkeypatch):
-    # As a program sees the clock that waits for an hour between a request and its response.
+    # The clock of a program that is paused for an hour between a request and its response.
     clock = SimpleNamespace(monotonic=lambda: 3600.0 * len(server.requests), sleep=time.sleep)
     monkeypatch.setattr("accord.client.http.time", clock)
     server.responses = [(200, {"Content-Length": "9"}, b"half"), (200, {}, [1])]
